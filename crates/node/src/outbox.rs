@@ -13,6 +13,7 @@ pub(crate) mod tests;
 mod waiting;
 
 pub use config::OutboxConfig;
+pub(crate) use waiting::BatchScope;
 
 use crate::error::NodeError;
 use albireo_service::clock::Now;
@@ -86,7 +87,7 @@ impl Outbox {
     /// [`NodeError`] if another node uses the directory or its file is not ours; not if the disk fails.
     pub fn open(directory: Option<&Path>) -> Result<Self, NodeError> {
         let opened = match directory {
-            None => Waiting::new(None, 0).map(Self::of),
+            None => Waiting::in_memory().map(Self::of),
             Some(directory) if directory.is_file() => Err(TableError::Unusable(
                 "it is a file, not a folder: name a folder, or move the file away".to_owned(),
             )),
@@ -107,7 +108,7 @@ impl Outbox {
         max_bytes: u64,
         now: Now,
     ) -> Result<Self, TableError> {
-        let mut waiting = Waiting::new(Some(disk), max_bytes)?;
+        let mut waiting = Waiting::on_disk(disk, max_bytes)?;
         match waiting.open(now) {
             Err(error @ TableError::Unusable(_)) => Err(error),
             // A failed disk is tried again.

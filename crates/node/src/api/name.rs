@@ -95,6 +95,7 @@ async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<
 pub(crate) mod tests {
     use super::*;
     use albireo_service::readiness::Readiness;
+    use tokio::task::JoinHandle;
 
     /// A session that looks for no others, with these settings in Zenoh's own terms.
     pub(crate) async fn session(settings: &[(&str, &str)]) -> Session {
@@ -104,6 +105,11 @@ pub(crate) mod tests {
             config.insert_json5(key, value).unwrap();
         }
         zenoh::open(config).await.unwrap()
+    }
+
+    /// A session that nobody can reach.
+    pub(crate) async fn session_alone() -> Session {
+        session(&[("listen/endpoints", "[]")]).await
     }
 
     async fn until(mut holds: impl AsyncFnMut() -> bool) {
@@ -116,13 +122,25 @@ pub(crate) mod tests {
         waited.await.unwrap();
     }
 
+    /// One of two nodes of the same name.
+    struct Twin {
+        name: NodeName,
+        readiness: Readiness,
+        holding: JoinHandle<()>,
+    }
+
+    impl Twin {
+        fn is_without_faults(&self) -> bool {
+            self.readiness.health().faults.is_empty()
+        }
+    }
+
     #[tokio::test(flavor = "multi_thread")]
     async fn of_two_nodes_that_start_together_one_gets_the_name_and_the_other_reports_it() {
         let one = session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)]).await;
         let at = one.info().locators().await[0].to_string();
         let connect = format!("[{at:?}]");
-        let two = [("listen/endpoints", "[]"), ("connect/endpoints", &*connect)];
-        let two = session(&two).await;
+        let two = session(&[("listen/endpoints", "[]"), ("connect/endpoints", &connect)]).await;
         until(async || {
             one.info().peers_zid().await.count() + two.info().peers_zid().await.count() >= 2
         })
@@ -132,20 +150,22 @@ pub(crate) mod tests {
             let readiness = Readiness::default();
             let key = "albireo/@alive/n".to_owned();
             let part = readiness.part("name");
-            let holding = tokio::spawn(name.clone().hold(session, key, part));
-            (name, readiness, holding)
+            Twin {
+                holding: tokio::spawn(name.clone().hold(session, key, part)),
+                name,
+                readiness,
+            }
         });
         until(async || {
-            let mut nodes = nodes
-                .each_ref()
-                .map(|(name, readiness, _)| (name.is_held(), readiness.health().faults.is_empty()));
-            nodes.sort_unstable();
-            nodes == [(false, false), (true, true)]
+            let [one, two] = &nodes;
+            let only_one_has_it = one.name.is_held() != two.name.is_held();
+            let is_right = |node: &Twin| node.name.is_held() == node.is_without_faults();
+            only_one_has_it && is_right(one) && is_right(two)
         })
         .await;
-        for (_, _, holding) in nodes {
-            assert!(!holding.is_finished(), "it is held");
-            holding.abort();
+        for node in nodes {
+            assert!(!node.holding.is_finished(), "it is held");
+            node.holding.abort();
         }
     }
 }

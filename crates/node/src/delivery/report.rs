@@ -47,7 +47,7 @@ impl Reporter {
         let board = Arc::clone(&self.board);
         let outbox = Arc::clone(&self.outbox);
         let camera = Arc::clone(&self.camera);
-        let kept = tokio::task::spawn_blocking(move || {
+        let keeping = tokio::task::spawn_blocking(move || {
             let provider = provider(&board.detector_status()).unwrap_or("none");
             let target = board.target.report().target;
             let report = |(clip, energy): (Clip, Measured)| {
@@ -67,10 +67,13 @@ impl Reporter {
             reports
         });
         let camera = self.camera.name();
-        let kept = kept.await.unwrap_or_else(|error| {
-            tracing::error!(camera, %error, "clip reports lost");
-            Vec::new()
-        });
+        let kept = match keeping.await {
+            Ok(kept) => kept,
+            Err(error) => {
+                tracing::error!(camera, %error, "clip reports lost");
+                return;
+            }
+        };
         for report in kept {
             tracing::info!(
                 camera,
@@ -110,7 +113,7 @@ mod tests {
         let node = PreparedNode::new(&NodeConfig::default()).unwrap();
         let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
-        let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
+        let session = crate::api::name::tests::session_alone().await;
         let publisher = session.declare_publisher("clip").advanced();
         let reporter = Reporter {
             board,

@@ -23,8 +23,15 @@ fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }
 
+/// Whether events are printed as they happen.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Output {
+    Silent,
+    Printed,
+}
+
 /// Runs a seed; panics if the final state is wrong, and returns all that happened.
-type Simulation = fn(u64, bool) -> String;
+type Simulation = fn(u64, Output) -> String;
 
 /// How often each oracle was asked.
 static ORACLES: Mutex<BTreeMap<&str, u64>> = Mutex::new(BTreeMap::new());
@@ -36,8 +43,8 @@ fn holds(oracle: &'static str, right: bool, wrong: impl FnOnce() -> String) {
 }
 
 /// What is wrong with the run of a seed, and the command that reproduces it.
-fn wrong(simulation: Simulation, seed: u64, verbose: bool) -> Option<String> {
-    let panic = catch_unwind(|| simulation(seed, verbose)).err()?;
+fn fault_of(simulation: Simulation, seed: u64, output: Output) -> Option<String> {
+    let panic = catch_unwind(|| simulation(seed, output)).err()?;
     let text = panic.downcast_ref::<String>();
     Some(format!(
         "seed {seed}: {text:?}\n  again: make simulate SEED={seed}"
@@ -46,22 +53,24 @@ fn wrong(simulation: Simulation, seed: u64, verbose: bool) -> Option<String> {
 
 /// Runs a `share`-th of the seeds on all cores.
 fn run_seeds(simulation: Simulation, share: u64) {
-    let replayed = setting("ALBIREO_SEED");
     let many = setting("ALBIREO_SEEDS").unwrap_or(1000).div_ceil(share);
     let first = setting("ALBIREO_FIRST_SEED").unwrap_or(0);
-    let seeds = replayed.map_or(first..first + many, |seed| seed..seed + 1);
+    let (seeds, output) = match setting("ALBIREO_SEED") {
+        Some(seed) => (seed..seed + 1, Output::Printed),
+        None => (first..first + many, Output::Silent),
+    };
     let began = Instant::now();
     // Each thread needs a few megabytes of memory for its files.
     let threads = std::thread::available_parallelism().map_or(1, |many| many.get().min(8));
-    let mut wrong: Vec<_> = std::thread::scope(|scope| {
-        let spawn = |first| {
-            let seeds = seeds.clone().skip(first).step_by(threads);
-            let wrong = seeds.filter_map(move |seed| wrong(simulation, seed, replayed.is_some()));
-            scope.spawn(|| wrong.collect::<Vec<_>>())
+    let mut faults: Vec<_> = std::thread::scope(|scope| {
+        let spawn = |number| {
+            let seeds = seeds.clone().skip(number).step_by(threads);
+            let faults = seeds.filter_map(move |seed| fault_of(simulation, seed, output));
+            scope.spawn(|| faults.collect::<Vec<_>>())
         };
-        let threads: Vec<_> = (0..threads).map(spawn).collect();
-        let wrong = threads.into_iter().map(|thread| thread.join().unwrap());
-        wrong.flatten().collect()
+        let spawned: Vec<_> = (0..threads).map(spawn).collect();
+        let faults = spawned.into_iter().map(|thread| thread.join().unwrap());
+        faults.flatten().collect()
     });
     println!(
         "seeds {seeds:?} in {:.0?}; the oracles, and how often each was asked:",
@@ -70,8 +79,8 @@ fn run_seeds(simulation: Simulation, share: u64) {
     for (oracle, asked) in &*ORACLES.lock() {
         println!("{asked:>9} {oracle}");
     }
-    wrong.truncate(5);
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    faults.truncate(5);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
 #[test]
@@ -91,7 +100,7 @@ fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
     // killed between stopping a rollout and noting its end, and the rollout stayed open for ever. 2256, 2343: a node kept a
     // value under the revision before it, and a power cut between the two files made it refuse the right one.
     for seed in [77, 2289, 2256, 2343] {
-        assert_eq!(wrong(Settings::run, seed, false), None);
+        assert_eq!(fault_of(Settings::run, seed, Output::Silent), None);
     }
 }
 
@@ -99,12 +108,15 @@ fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
 fn one_seed_gives_one_run_byte_for_byte() {
     for simulation in [World::run as Simulation, Settings::run] {
         for seed in 0..8 {
-            let [once, twice] = [(), ()].map(|()| simulation(seed, false));
+            let once = simulation(seed, Output::Silent);
+            let twice = simulation(seed, Output::Silent);
             let lines = once.lines().zip(twice.lines());
             let other = lines.clone().find(|(once, twice)| once != twice);
             assert_eq!(other, None, "seed {seed}");
             assert!(once == twice && once.lines().count() > 50, "seed {seed}");
         }
-        assert_ne!(simulation(1, false), simulation(2, false));
+        let first = simulation(1, Output::Silent);
+        let second = simulation(2, Output::Silent);
+        assert_ne!(first, second);
     }
 }

@@ -4,6 +4,7 @@
 //! error, a refusal or a timeout, the node keeps the reports and retries after a pause.
 
 mod desired;
+mod health;
 mod query;
 mod schedule;
 mod status;
@@ -12,13 +13,12 @@ mod watched;
 pub(super) use desired::{known, take};
 
 use crate::backoff::Backoff;
-use crate::outbox::{Outbox, OutboxConfig};
+use crate::outbox::{BatchScope, Outbox, OutboxConfig};
 use crate::settings::Settings;
 use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::clock::Now;
 use albireo_service::config::UplinkConfig;
-use albireo_service::readiness::Part;
 use albireo_service::session;
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
@@ -26,11 +26,11 @@ use albireo_wire::{
 };
 use futures_util::future::{BoxFuture, FutureExt, Shared};
 use futures_util::stream::{FuturesUnordered, StreamExt};
+use health::UplinkHealth;
 use query::ask;
 #[cfg(test)]
 pub(super) use query::read_reply;
-use schedule::Trouble;
-pub(super) use schedule::{Failure, Schedule};
+pub(super) use schedule::{Failure, HubPresence, Schedule};
 pub(super) use status::StatusSender;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
@@ -43,6 +43,7 @@ use tracing::Instrument;
 use watched::Watched;
 use zenoh::Session;
 use zenoh::handlers::RingChannel;
+use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
@@ -80,6 +81,17 @@ pub(crate) struct UplinkSetup {
     pub local: Option<Session>,
 }
 
+impl UplinkSetup {
+    /// The sign that the node is alive, on a session of its own.
+    async fn alive_token(&self, session: &Session) -> zenoh::Result<Option<LivelinessToken>> {
+        if self.local.is_some() || !self.uplink.liveliness {
+            return Ok(None);
+        }
+        let token = session.liveliness().declare_token(self.keys.alive()).await?;
+        Ok(Some(token))
+    }
+}
+
 /// The running uplink.
 pub(crate) struct Uplink {
     stop: CancellationToken,
@@ -101,13 +113,11 @@ impl Uplink {
             watched: Watched::default(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
-            health: Health {
-                part: setup.board.readiness.part(readiness::UPLINK),
-                said: None,
-                lost_since: None,
+            health: UplinkHealth::new(
+                setup.board.readiness.part(readiness::UPLINK),
                 // Without an uplink of its own, a node need not have a hub.
-                expects_hub: setup.local.is_none(),
-            },
+                setup.local.is_none(),
+            ),
             setup: Arc::new(setup),
             stop: stop.clone(),
         };
@@ -131,71 +141,19 @@ struct Worker {
     schedule: Schedule,
     /// The pauses after sessions that could not be opened or failed.
     reconnect: Backoff,
-    health: Health,
-}
-
-/// What the part `uplink` says.
-struct Health {
-    part: Part,
-    said: Option<String>,
-    /// The time since which no session serves the hub.
-    lost_since: Option<Instant>,
-    /// True if the node has an uplink, or has found a hub since its start.
-    expects_hub: bool,
-}
-
-impl Health {
-    /// Says what is wrong, or that nothing is.
-    fn say(&mut self, what: Option<String>) {
-        if what != self.said {
-            match &what {
-                Some(reason) => self.part.degraded(reason),
-                None => self.part.works(),
-            }
-            self.said = what;
-        }
-    }
-
-    /// Says that there is no session, once that has lasted for longer than the `normal` time.
-    fn no_session(&mut self, why: &str, normal: Duration) {
-        let since = *self.lost_since.get_or_insert_with(Instant::now);
-        if since.elapsed() >= normal {
-            self.say(Some(why.to_owned()));
-        }
-    }
-
-    /// Says why reports are not acknowledged.
-    fn judge(&mut self, trouble: Option<Trouble>, connected: bool, keys: &NodeKeys) {
-        self.expects_hub |= connected;
-        self.lost_since = None;
-        let key = keys.report();
-        let Some(trouble) = trouble else {
-            return self.say(None);
-        };
-        if !self.expects_hub {
-            return self.say(None);
-        }
-        self.say(Some(match trouble {
-            Trouble::NoHub => format!(
-                "no hub answers on `{key}`, and clip reports wait: is a hub running, with the same prefix, and may this \
-                 node's certificate use that key?"
-            ),
-            Trouble::Unanswered => format!(
-                "a hub takes clip reports and does not answer: it hangs, or the router's access rules deny `{key}`"
-            ),
-            Trouble::Refused(why) => format!("the hub refuses clip reports: {why}"),
-        }));
-    }
-}
-
-/// A query to the hub: to store reports, or for the desired setting.
-enum Asked {
-    Batch,
-    Pull,
+    health: UplinkHealth,
 }
 
 /// The outcome of a query, with the desired setting, if the answer has one.
-type Ended = Result<Option<Desired>, Failure>;
+type Outcome = Result<Option<Desired>, Failure>;
+
+/// A query to the hub that has ended.
+enum Ended {
+    /// To store reports.
+    Batch(Outcome),
+    /// For the desired setting.
+    Pull(Outcome),
+}
 
 impl Worker {
     async fn run(mut self) {
@@ -274,27 +232,25 @@ impl Worker {
             .priority(crate::publishing::COUNTERS)
             .await?;
         let news = session.declare_subscriber(keys.changed()).with(RingChannel::new(1)).await?;
-        let own = setup.local.is_none();
-        let _alive = if own && setup.uplink.liveliness {
-            Some(session.liveliness().declare_token(keys.alive()).await?)
-        } else {
-            None
-        };
+        let is_own = setup.local.is_none();
+        let _alive = setup.alive_token(session).await?;
         let mut last_try = None;
-        let mut asked = FuturesUnordered::<BoxFuture<'_, (Asked, Ended)>>::new();
+        let mut asked = FuturesUnordered::<BoxFuture<'_, Ended>>::new();
         self.watched.begin();
         self.schedule.begin(Instant::now());
         loop {
             let now = Instant::now();
             let counts = outbox.counts();
-            let watched = self.watched.is_on(now);
-            let connected = reports.matching_status().await?.matching();
-            if let Some(again) = self.schedule.next_batch(&counts, connected, watched, now) {
-                let sending = send_batch(&setup, &reports, again);
-                asked.push(sending.map(|ended| (Asked::Batch, ended)).boxed());
+            let hub = HubPresence {
+                is_connected: reports.matching_status().await?.matching(),
+                watches: self.watched.is_on(now),
+            };
+            if let Some(scope) = self.schedule.next_batch(&counts, hub, now) {
+                let sending = send_batch(&setup, &reports, scope);
+                asked.push(sending.map(Ended::Batch).boxed());
             }
-            let trouble = self.schedule.trouble(connected, now);
-            self.health.judge(trouble, connected, keys);
+            let trouble = self.schedule.trouble(hub.is_connected, now);
+            self.health.judge(trouble, hub.is_connected, keys);
             match last_try {
                 None => {
                     let sender = &mut self.status_sender;
@@ -306,16 +262,16 @@ impl Worker {
                     self.watched.serve(session, &setup).await?;
                     if pulls.matching_status().await?.matching() && self.schedule.next_pull(now) {
                         let pulling = pull(&setup, &pulls);
-                        asked.push(pulling.map(|ended| (Asked::Pull, ended)).boxed());
+                        asked.push(pulling.map(Ended::Pull).boxed());
                     }
                 }
                 Some(until) => {
-                    if !self.schedule.sends() || now >= until {
+                    if !self.schedule.is_sending() || now >= until {
                         return Ok(());
                     }
                 }
             }
-            if own && connected && self.schedule.is_stale(STALE, now) {
+            if is_own && hub.is_connected && self.schedule.is_stale(STALE, now) {
                 return Err("no answer to the waiting reports for too long".into());
             }
             let latest = last_try.unwrap_or(now + POLL_EVERY);
@@ -326,7 +282,7 @@ impl Worker {
                     last_try = Some(now + LAST_TRY);
                     self.schedule.send_now(now);
                 }
-                Some((query, ended)) = asked.next() => self.take(query, ended).await,
+                Some(ended) = asked.next() => self.take(ended).await,
                 () = outbox.changed() => {}
                 Ok(_) = news.recv_async() => self.schedule.want_pull(),
                 () = tokio::time::sleep_until(due.into()) => {}
@@ -334,13 +290,19 @@ impl Worker {
         }
     }
 
-    async fn take(&mut self, asked: Asked, ended: Ended) {
+    async fn take(&mut self, ended: Ended) {
         let now = Instant::now();
-        match asked {
-            Asked::Batch => self.schedule.batch_ended(&ended, now),
-            Asked::Pull => self.schedule.pull_ended(&ended, now),
-        }
-        let Ok(Some(desired)) = ended else { return };
+        let outcome = match ended {
+            Ended::Batch(outcome) => {
+                self.schedule.batch_ended(&outcome, now);
+                outcome
+            }
+            Ended::Pull(outcome) => {
+                self.schedule.pull_ended(&outcome, now);
+                outcome
+            }
+        };
+        let Ok(Some(desired)) = outcome else { return };
         self.status_sender.follow(&desired);
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
@@ -355,12 +317,12 @@ impl Worker {
 }
 
 /// Sends the oldest reports, and applies the answer to the outbox.
-async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
+async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, scope: BatchScope) -> Outcome {
     let sending = Arc::clone(setup);
     let prepared = spawn_blocking(move || {
         let node = &sending.board.node;
         let now = Now::system();
-        let batch = sending.outbox.change(|waiting| waiting.batch(node, again, now))?;
+        let batch = sending.outbox.change(|waiting| waiting.batch(node, scope, now))?;
         let payload = batch.to_payload(BatchCompression::Best);
         Some((batch, payload))
     });
@@ -388,7 +350,7 @@ pub(crate) fn conclude(
     batch: &ReportBatch,
     reply: Result<ReportAnswer, Failure>,
     now: Now,
-) -> Ended {
+) -> Outcome {
     let answer = reply?;
     let stored = outbox.change(|waiting| waiting.answered(batch, &answer, now));
     tracing::debug!(stored, "clip reports acknowledged");
@@ -396,7 +358,7 @@ pub(crate) fn conclude(
 }
 
 /// Queries the desired setting.
-async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
+async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Outcome {
     let request = RevisionMessage {
         v: VERSION,
         revision: known(&setup.settings).revision(),
@@ -430,9 +392,8 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_node_says_that_no_hub_acknowledges_its_reports_and_stays_ready() {
-        let router =
-            crate::api::name::tests::session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)])
-                .await;
+        let on_a_free_port = ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#);
+        let router = crate::api::name::tests::session(&[on_a_free_port]).await;
         let locators = router.info().locators().await;
         let mut config = NodeConfig::default();
         config.outbox.patience_ms = 100;
@@ -455,13 +416,13 @@ mod tests {
         let uplink_fault = faults.iter().find(|fault| fault.part == readiness::UPLINK);
         assert_eq!(uplink_fault.unwrap().fault.effect, HealthState::Degraded);
         // A hub that refuses, and one that takes them.
-        let refusal = serde_json::to_vec(&ReportRefusal {
+        let refusal = ReportRefusal {
             v: VERSION,
             reason: RefusalReason::Unavailable,
             detail: "the disk is full".to_owned(),
             retry_after_ms: None,
-        });
-        let refusal = refusal.unwrap();
+        };
+        let refusal_bytes = serde_json::to_vec(&refusal).unwrap();
         let accepts = Arc::new(AtomicBool::new(false));
         let accepting = Arc::clone(&accepts);
         let hub = router.declare_queryable("albireo/@report/node").callback(move |query| {
@@ -469,15 +430,15 @@ mod tests {
             let _ = if accepting.load(Ordering::Relaxed) {
                 query.reply(query.key_expr().clone(), answer).wait()
             } else {
-                query.reply_err(refusal.clone()).wait()
+                query.reply_err(refusal_bytes.clone()).wait()
             };
         });
         let _hub = hub.await.unwrap();
         said("the hub refuses clip reports: unavailable: the disk is full").await;
         accepts.store(true, Ordering::Relaxed);
         let works = health.wait_for(|health| !health.reasons.contains_key(readiness::UPLINK));
-        let works = tokio::time::timeout(Duration::from_secs(60), works).await;
-        assert!(works.unwrap().is_ok());
+        let found = tokio::time::timeout(Duration::from_secs(60), works).await;
+        assert!(found.unwrap().is_ok());
         assert_eq!(node.outbox.counts().status.waiting, 0);
         uplink.stop().await;
     }
@@ -487,7 +448,7 @@ mod tests {
         let mut config = NodeConfig::default();
         config.outbox.retry_min_ms = 1;
         let node = PreparedNode::new(&config).unwrap();
-        let closed = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
+        let closed = crate::api::name::tests::session_alone().await;
         closed.close().await.unwrap();
         let mut health = node.board.readiness.subscribe();
         let uplink = Uplink::start(setup(&node, config, Some(closed)));

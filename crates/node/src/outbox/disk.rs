@@ -77,8 +77,14 @@ pub(crate) struct StateFile {
     file: PathBuf,
     lock: Option<File>,
     witness: Option<File>,
-    /// Device and inode number of the open file.
-    opened: Option<(u64, u64)>,
+    opened: Option<FileId>,
+}
+
+/// Tells a file from another one at the same path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct FileId {
+    device: u64,
+    inode: u64,
 }
 
 impl StateFile {
@@ -92,9 +98,12 @@ impl StateFile {
         }
     }
 
-    fn inode(&self) -> std::io::Result<(u64, u64)> {
+    fn id_at_path(&self) -> std::io::Result<FileId> {
         let metadata = fs::metadata(&self.file)?;
-        Ok((metadata.dev(), metadata.ino()))
+        Ok(FileId {
+            device: metadata.dev(),
+            inode: metadata.ino(),
+        })
     }
 }
 
@@ -124,13 +133,13 @@ impl Disk for StateFile {
             // The name of a new file is durable only once its folder is synced.
             File::open(&self.directory)?.sync_all()?;
         }
-        self.opened = Some(self.inode()?);
+        self.opened = Some(self.id_at_path()?);
         Ok(db)
     }
 
     fn check(&self) -> Result<(), TableError> {
-        match self.inode() {
-            Ok(inode) if Some(inode) == self.opened => Ok(()),
+        match self.id_at_path() {
+            Ok(id) if Some(id) == self.opened => Ok(()),
             _ => Err(std::io::Error::other(
                 "the file is no longer there: the disk was removed, or somebody deleted it",
             )
@@ -155,7 +164,8 @@ impl Disk for StateFile {
     }
 
     fn witness(&self) -> Option<Witness> {
-        Witness::read(&fs::read_to_string(self.directory.join(WITNESS)).ok()?)
+        let line = fs::read_to_string(self.directory.join(WITNESS)).ok()?;
+        Witness::read(&line)
     }
 
     fn testify(&self, witness: Witness) {

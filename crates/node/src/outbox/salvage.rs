@@ -8,7 +8,10 @@ use std::path::Path;
 const STEP: usize = 200;
 
 /// The most rows that are looked for one by one between those before and those after a damaged page.
-const MOST_TRIED: i64 = 10_000;
+const MOST_TRIED: usize = 10_000;
+
+/// The place of `rowid` behind [`COLUMNS`].
+const ROWID: usize = 9;
 
 /// Copies the intact reports of the file at `damaged` to `into`, and continues their counts there.
 ///
@@ -25,12 +28,14 @@ pub(super) fn salvage(damaged: &Path, into: &mut Table) -> Result<(), TableError
     let select =
         |rest: &str| format!("SELECT {COLUMNS}, rowid FROM report NOT INDEXED WHERE {rest}");
     // The rows before the first damaged page, those behind the last one, and those in between, without any index.
-    let (last, is_whole) = copy.rows(&db, &select("rowid > ? ORDER BY rowid"), 0)?;
-    if !is_whole {
-        let (first, _) = copy.rows(&db, &select("rowid > ? ORDER BY rowid DESC"), last)?;
-        let end = if first > last { first } else { i64::MAX };
+    let forwards = copy.rows(&db, &select("rowid > ? ORDER BY rowid"), 0)?;
+    if !forwards.reached_the_end {
+        let before = forwards.last;
+        let backwards = copy.rows(&db, &select("rowid > ? ORDER BY rowid DESC"), before)?;
+        let found_any = backwards.last > before;
+        let behind = if found_any { backwards.last } else { i64::MAX };
         let mut one = db.prepare(&select("rowid = ?"))?;
-        for rowid in (last + 1..end).take(MOST_TRIED as usize) {
+        for rowid in (before + 1..behind).take(MOST_TRIED) {
             // A row that is damaged, or that is not there.
             if let Ok(report) = one.query_row([rowid], StoredReport::read) {
                 copy.add(report)?;
@@ -45,25 +50,37 @@ struct Copy<'a> {
     read: Vec<StoredReport>,
 }
 
+/// How far rows could be read.
+struct ReadRows {
+    /// The number of the last row; that before the first if there was none.
+    last: i64,
+    /// False if a damaged page was in the way.
+    reached_the_end: bool,
+}
+
 impl Copy<'_> {
-    /// Copies rows until the end or a damaged page. Returns the number of the last row, and true at the end.
-    fn rows(&mut self, db: &Connection, text: &str, from: i64) -> Result<(i64, bool), TableError> {
+    /// Copies rows until the end or a damaged page.
+    fn rows(&mut self, db: &Connection, text: &str, from: i64) -> Result<ReadRows, TableError> {
         let mut last = from;
         let mut select = db.prepare(text)?;
         let mut rows = select.query([from])?;
-        loop {
-            match rows.next() {
-                Ok(None) => return Ok((last, true)),
-                Err(_) => return Ok((last, false)),
-                Ok(Some(row)) => {
-                    let Ok(rowid) = row.get(9) else {
-                        return Ok((last, false));
-                    };
-                    last = rowid;
-                    self.row(row)?;
-                }
-            }
+        while let Ok(next) = rows.next() {
+            let Some(row) = next else {
+                return Ok(ReadRows {
+                    last,
+                    reached_the_end: true,
+                });
+            };
+            let Ok(rowid) = row.get(ROWID) else {
+                break;
+            };
+            last = rowid;
+            self.row(row)?;
         }
+        Ok(ReadRows {
+            last,
+            reached_the_end: false,
+        })
     }
 
     /// Copies a row, unless its values are damaged.

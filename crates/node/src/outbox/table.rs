@@ -170,6 +170,14 @@ impl StoredReport {
 /// The part of a checksum that is about the content; 4294967295 in statements.
 const CONTENT: i64 = 0xffff_ffff;
 
+/// A report that waits no more.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Concluded {
+    pub(super) id: Uuid,
+    /// [`ACKNOWLEDGED`] or [`REFUSED`].
+    pub(super) state: i64,
+}
+
 /// Counters that continue after a restart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counters {
@@ -368,7 +376,7 @@ impl Table {
             "SELECT {COLUMNS} FROM report WHERE state <= ? ORDER BY state, count"
         ))?;
         let found = select.query_map([last_state], StoredReport::read)?;
-        // Not by `LIMIT ?`: SQLite parses a statement anew whenever such a limit is bound.
+        // Not by `LIMIT ?`: SQLite parses a statement again whenever such a limit is bound.
         Ok(found.take(most).collect::<Result<_, _>>()?)
     }
 
@@ -376,7 +384,7 @@ impl Table {
     /// the ranges `missing`. Concluded reports are kept for `kept_ms` from then on, refused ones without their content.
     pub(super) fn conclude(
         &mut self,
-        concluded: &[(Uuid, i64)],
+        concluded: &[Concluded],
         missing: &[(u64, u64)],
         now_ms: i64,
         kept_ms: i64,
@@ -387,8 +395,9 @@ impl Table {
                 "UPDATE report SET state = ?1, acknowledged_ms = ?2, json = iif(?1 = ?4, x'', json),
                      checksum = iif(?1 = ?4, NULL, (checksum & 4294967295) | (?1 << 32)) WHERE id = ?3",
             )?;
-            for (id, state) in concluded {
-                conclude.execute(params![state, now_ms, id.as_bytes(), REFUSED])?;
+            for report in concluded {
+                let id = report.id.as_bytes();
+                conclude.execute(params![report.state, now_ms, id, REFUSED])?;
             }
             let mut again = transaction.prepare_cached(
                 "UPDATE report SET state = ?1, checksum = (checksum & 4294967295) | (?1 << 32)

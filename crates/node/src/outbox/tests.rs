@@ -61,8 +61,12 @@ impl Faults {
         Outbox::open_on(Box::new(FaultyDisk { file, faults }), max_bytes, now)
     }
 
-    pub(crate) fn fill_disk(&self, is_full: bool) {
-        self.is_full.store(is_full, Ordering::Relaxed);
+    pub(crate) fn fill_disk(&self) {
+        self.is_full.store(true, Ordering::Relaxed);
+    }
+
+    pub(crate) fn free_disk(&self) {
+        self.is_full.store(false, Ordering::Relaxed);
     }
 }
 
@@ -153,7 +157,11 @@ fn keep_large(outbox: &Outbox, clip: u64, bytes: usize) {
 }
 
 fn batch(outbox: &Outbox) -> Option<ReportBatch> {
-    outbox.change(|waiting| waiting.batch("n", true, Now::system()))
+    batch_of(outbox, BatchScope::NewAndForgotten, Now::system())
+}
+
+fn batch_of(outbox: &Outbox, scope: BatchScope, now: Now) -> Option<ReportBatch> {
+    outbox.change(|waiting| waiting.batch("n", scope, now))
 }
 
 fn retry_disk(outbox: &Outbox) {
@@ -161,11 +169,11 @@ fn retry_disk(outbox: &Outbox) {
 }
 
 fn clips(batch: &ReportBatch) -> Vec<&str> {
-    batch.reports.iter().map(|r| r.clip.as_str()).collect()
+    batch.reports.iter().map(|report| report.clip.as_str()).collect()
 }
 
 fn counts_of(batch: &ReportBatch) -> Vec<Option<u64>> {
-    batch.reports.iter().map(|r| r.count).collect()
+    batch.reports.iter().map(|report| report.count).collect()
 }
 
 fn conclude(outbox: &Outbox, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
@@ -230,8 +238,7 @@ fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
     let counts = outbox.counts();
     assert_eq!((counts.status.waiting, counts.again), (0, 3));
     keep(&outbox, 7..8);
-    let new = outbox.change(|waiting| waiting.batch("n", false, Now::system()));
-    let new = new.unwrap();
+    let new = batch_of(&outbox, BatchScope::New, Now::system()).unwrap();
     assert_eq!(clips(&new), ["window-7"]);
     let sent = batch(&outbox).unwrap();
     let expected = ["window-7", "window-1", "window-2", "window-4"];
@@ -250,15 +257,15 @@ fn a_hub_with_another_database_gets_the_reports_of_the_last_week_once() {
         let mut now = start;
         now.unix_ms += clip.min(19) as i64 * 86_400_000;
         insert(&outbox, report(clip), now);
-        let batch = outbox.change(|waiting| waiting.batch("n", true, now));
-        let batch = batch.unwrap();
-        let answer = ReportAnswer {
+        let batch = batch_of(&outbox, BatchScope::NewAndForgotten, now).unwrap();
+        let mut answer = ReportAnswer::default();
+        if clip == 20 {
             // An empty database lacks all reports before the first that it gets.
-            missing: (clip == 20).then_some((1, 20)).into_iter().collect(),
-            ..ReportAnswer::default()
-        };
+            answer.missing.push((1, 20));
+        }
         conclude(&outbox, &batch, &answer, now);
         let counts = outbox.counts();
+        // Sent, waiting, to be sent again.
         sent.push((batch.reports.len(), counts.status.waiting, counts.again));
     }
     assert_eq!(sent[..20], [(1, 0, 0); 20]);
@@ -336,30 +343,38 @@ fn what_the_node_knows_of_a_reports_age_survives_a_restart_of_the_program() {
     let bench = Bench::new();
     let outbox = bench.open();
     let mut now = Now::system();
-    let ages = |outbox: &Outbox, node: &str, now| {
-        let sent = outbox.change(|waiting| waiting.batch(node, true, now)).unwrap();
-        sent.ages[0]
+    let age_of_first = |outbox: &Outbox, node: &str, now| {
+        let sent = outbox.change(|waiting| waiting.batch(node, BatchScope::New, now));
+        sent.unwrap().ages[0]
     };
     insert(&outbox, report(0), now);
     drop(outbox);
     let outbox = bench.open();
     now.uptime.s += 7;
     now.unix_ms -= 400 * 86_400_000;
-    let age = |made_s, first| ReportAge { made_s, first };
-    assert_eq!(ages(&outbox, "n", now), age(Some(7), true));
+    let sent_first = |made_s| ReportAge {
+        made_s,
+        first: true,
+    };
+    let sent_before = |made_s| ReportAge {
+        made_s,
+        first: false,
+    };
+    assert_eq!(age_of_first(&outbox, "n", now), sent_first(Some(7)));
     drop(outbox);
     let outbox = bench.open();
-    assert_eq!(ages(&outbox, "n", now), age(Some(7), false), "it was sent");
+    assert_eq!(age_of_first(&outbox, "n", now), sent_before(Some(7)));
     now.uptime.boot += 1;
-    assert_eq!(ages(&outbox, "n", now), age(None, false));
+    assert_eq!(age_of_first(&outbox, "n", now), sent_before(None));
     // A copied state directory: the first owner may have sent it.
     let other = in_memory();
     insert(&other, report(1), now);
-    assert_eq!(ages(&other, "other", now), age(Some(0), false));
+    assert_eq!(age_of_first(&other, "other", now), sent_before(Some(0)));
 }
 
 #[test]
 fn a_damaged_file_and_a_garbage_file_are_set_aside() {
+    // All but the first page is damaged, and nothing is left of the file.
     for (intact, length) in [(4096, usize::MAX), (0, 9000)] {
         let bench = Bench::new();
         keep(&bench.open(), 0..400);
@@ -394,7 +409,7 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
         let other = Connection::open(bench.file()).unwrap();
         let away = bench.folder.path().join("away");
         match fault {
-            "full" => bench.faults.fill_disk(true),
+            "full" => bench.faults.fill_disk(),
             "gone" => {
                 // With a file in its place, no folder can be created there.
                 std::fs::rename(bench.state(), &away).unwrap();
@@ -424,7 +439,7 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
         assert_eq!(outbox.counts().status.waiting, 57, "{fault}");
         assert_eq!(clips(&batch(&outbox).unwrap())[0], "window-3", "{fault}");
         match fault {
-            "full" => bench.faults.fill_disk(false),
+            "full" => bench.faults.free_disk(),
             "gone" => {
                 std::fs::remove_file(bench.state()).unwrap();
                 std::fs::rename(&away, bench.state()).unwrap();
@@ -460,10 +475,10 @@ fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
 fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
-    bench.faults.fill_disk(true);
+    bench.faults.fill_disk();
     let outbox = bench.open();
     keep(&outbox, 3..4);
-    bench.faults.fill_disk(false);
+    bench.faults.free_disk();
     retry_disk(&outbox);
     keep(&outbox, 4..5);
     let mut sent = batch(&outbox).unwrap();

@@ -4,7 +4,7 @@ use super::OutboxCounts;
 use super::disk::{Disk, Witness};
 use super::salvage::salvage;
 use super::table::{
-    ACKNOWLEDGED, AGAIN, Counters, REFUSED, StoredReport, Table, TableError, WAITING,
+    ACKNOWLEDGED, AGAIN, Concluded, Counters, REFUSED, StoredReport, Table, TableError, WAITING,
 };
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{
@@ -35,6 +35,15 @@ const CHECKPOINT_REPORTS: usize = 100;
 /// The time after which the log is copied into the file, however few reports are in it.
 const CHECKPOINT_AFTER: Duration = Duration::from_secs(60);
 
+/// Which reports a batch may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BatchScope {
+    /// Those that no hub has.
+    New,
+    /// Behind them, those that a hub has lost.
+    NewAndForgotten,
+}
+
 /// Reports that no hub has, and acknowledged ones that a hub may lose.
 #[derive(Debug)]
 pub(crate) struct Waiting {
@@ -54,16 +63,32 @@ pub(crate) struct Waiting {
 }
 
 impl Waiting {
+    /// Creates it without reports, for a node without a state directory.
+    ///
+    /// # Errors
+    /// [`TableError`] if there is no memory for a table.
+    pub(super) fn in_memory() -> Result<Self, TableError> {
+        // There is no earlier count to continue.
+        let counters = Counters {
+            made: Some(0),
+            ..Counters::default()
+        };
+        Self::new(None, 0, counters)
+    }
+
     /// Creates it without reports and without an open file.
     ///
     /// # Errors
     /// [`TableError`] if there is no memory for a table.
-    pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
-        let counters = Counters {
-            // Without a disk, there is no earlier count to continue.
-            made: if disk.is_none() { Some(0) } else { None },
-            ..Counters::default()
-        };
+    pub(super) fn on_disk(disk: Box<dyn Disk>, most_bytes: u64) -> Result<Self, TableError> {
+        Self::new(Some(disk), most_bytes, Counters::default())
+    }
+
+    fn new(
+        disk: Option<Box<dyn Disk>>,
+        most_bytes: u64,
+        counters: Counters,
+    ) -> Result<Self, TableError> {
         Ok(Self {
             disk,
             most_bytes,
@@ -157,10 +182,11 @@ impl Waiting {
         // The readiness logs it.
         self.counts.failing = Some(format!("the state directory cannot be used: {error}"));
         self.counts.disk_failures += 1;
-        if std::mem::take(&mut self.is_on_disk)
-            && let Err(error) = self.rescue()
-        {
-            tracing::warn!(%error, "clip reports on the disk cannot be read now");
+        if self.is_on_disk {
+            self.is_on_disk = false;
+            if let Err(error) = self.rescue() {
+                tracing::warn!(%error, "clip reports on the disk cannot be read now");
+            }
         }
         if !error.is_corruption() {
             return;
@@ -274,13 +300,13 @@ impl Waiting {
         }
     }
 
-    /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost.
-    /// Unreadable reports are counted as undeliverable. Reads, and may write, a file.
-    pub(crate) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
+    /// The oldest reports to send, as reports of `node`. Unreadable reports are counted as undeliverable. Reads, and may
+    /// write, a file.
+    pub(crate) fn batch(&mut self, node: &str, scope: BatchScope, now: Now) -> Option<ReportBatch> {
         let BatchRead {
             reports,
             unreadable,
-        } = self.work(|table| read(table, node, again));
+        } = self.work(|table| read(table, node, scope));
         if !unreadable.is_empty() {
             self.conclude(&unreadable, &[], now);
         }
@@ -288,10 +314,10 @@ impl Waiting {
             return None;
         }
         // First, so that after a crash nobody takes them for reports that were never sent.
-        let never_sent = reports.iter().filter(|(stored, _)| !stored.sent);
-        let first: Vec<Uuid> = never_sent.map(|(stored, _)| stored.id).collect();
-        if !first.is_empty() {
-            self.work(|table| table.note_sent(&first));
+        let never_sent = reports.iter().filter(|report| !report.stored.sent);
+        let ids: Vec<Uuid> = never_sent.map(|report| report.stored.id).collect();
+        if !ids.is_empty() {
+            self.work(|table| table.note_sent(&ids));
         }
         let mut batch = ReportBatch {
             v: VERSION,
@@ -300,7 +326,7 @@ impl Waiting {
             ages: Vec::with_capacity(reports.len()),
             reports: Vec::with_capacity(reports.len()),
         };
-        for (stored, report) in reports {
+        for ReadReport { stored, report } in reports {
             batch.ages.push(ReportAge {
                 made_s: stored.made.and_then(|made| now.uptime.since(made)),
                 // The state directory may have belonged to another node, which sent it.
@@ -323,12 +349,12 @@ impl Waiting {
             .collect();
         let mut concluded = Vec::with_capacity(batch.reports.len());
         for ClipReport { id, .. } in &batch.reports {
+            let mut state = ACKNOWLEDGED;
             if let Some(reason) = refused.get(id) {
                 tracing::error!(%id, reason, "the hub rejected a clip report");
-                concluded.push((*id, REFUSED));
-            } else {
-                concluded.push((*id, ACKNOWLEDGED));
+                state = REFUSED;
             }
+            concluded.push(Concluded { id: *id, state });
         }
         let stored = self.conclude(&concluded, &answer.missing, now);
         self.counts.acknowledged += stored;
@@ -337,8 +363,8 @@ impl Waiting {
     }
 
     /// Sets the states of reports that are not waiting any more, and returns the number of those that a hub has.
-    fn conclude(&mut self, concluded: &[(Uuid, i64)], missing: &[(u64, u64)], now: Now) -> u64 {
-        let refused = concluded.iter().filter(|(_, state)| *state == REFUSED).count() as u64;
+    fn conclude(&mut self, concluded: &[Concluded], missing: &[(u64, u64)], now: Now) -> u64 {
+        let refused = concluded.iter().filter(|report| report.state == REFUSED).count() as u64;
         self.table.counters.undeliverable += refused;
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
         self.work(|table| table.conclude(concluded, missing, now.unix_ms, kept_ms));
@@ -374,32 +400,43 @@ fn recount(file: &mut Table, witness: Witness) -> Result<u64, TableError> {
 /// What the table has for a batch.
 #[derive(Default)]
 struct BatchRead {
-    /// The reports, as they are stored and as they are sent.
-    reports: Vec<(StoredReport, ClipReport)>,
+    reports: Vec<ReadReport>,
     /// The unreadable ones with their new state.
-    unreadable: Vec<(Uuid, i64)>,
+    unreadable: Vec<Concluded>,
 }
 
-fn read(table: &Table, node: &str, again: bool) -> Result<BatchRead, TableError> {
+/// A report that can be sent.
+struct ReadReport {
+    /// As it is stored.
+    stored: StoredReport,
+    /// As it is sent.
+    report: ClipReport,
+}
+
+fn read(table: &Table, node: &str, scope: BatchScope) -> Result<BatchRead, TableError> {
     let mut found = BatchRead::default();
     let mut bytes = 0;
     // Those that a hub has lost follow those that none has.
-    let last_state = if again { AGAIN } else { WAITING };
-    for report in table.reports(last_state, BATCH_REPORTS)? {
-        bytes += report.json.len();
-        match readable(&report) {
+    let last_state = match scope {
+        BatchScope::New => WAITING,
+        BatchScope::NewAndForgotten => AGAIN,
+    };
+    for stored in table.reports(last_state, BATCH_REPORTS)? {
+        bytes += stored.json.len();
+        match parse(&stored) {
             Ok(_) if bytes > BATCH_BYTES && !found.reports.is_empty() => break,
-            Ok(parsed) => found.reports.push((report, parsed)),
+            Ok(report) => found.reports.push(ReadReport { stored, report }),
             Err(reason) => {
-                tracing::error!(node, id = %report.id, reason, "a clip report cannot be sent");
-                found.unreadable.push((report.id, REFUSED));
+                let id = stored.id;
+                tracing::error!(node, %id, reason, "a clip report cannot be sent");
+                found.unreadable.push(Concluded { id, state: REFUSED });
             }
         }
     }
     Ok(found)
 }
 
-fn readable(report: &StoredReport) -> Result<ClipReport, String> {
+fn parse(report: &StoredReport) -> Result<ClipReport, String> {
     if report.json.len() > LARGEST_REPORT_BYTES {
         let size = report.json.len();
         return Err(format!("{size} bytes are more than a hub accepts"));

@@ -1,6 +1,7 @@
 //! Sets a node's clock before, between and after sending: no report is refused, lost or stored twice.
 
-use super::hub::Hub;
+use super::Output;
+use super::hub::{Asker, Hub};
 use super::node::Node;
 use super::timeline::{DAY, HOUR, SECOND, Timeline, folder};
 use albireo_hub::ingest::decode;
@@ -32,6 +33,9 @@ enum Fate {
 
 const YEAR: i64 = 365 * DAY;
 
+/// The only process of the hub.
+const PROCESS: usize = 0;
+
 struct Bench {
     time: Timeline<()>,
     hub: Hub,
@@ -44,9 +48,9 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let folder = folder();
-        let time = Timeline::new(0, false);
+        let time = Timeline::new(0, Output::Silent);
         let mut hub = Hub::new(folder.path());
-        hub.switch_on(0, time.now(0));
+        hub.switch_on(PROCESS, time.now());
         let mut bench = Self {
             node: Node::new("node-0".to_owned(), folder.path().join("state"), None),
             time,
@@ -59,6 +63,7 @@ impl Bench {
         bench
     }
 
+    /// The present by the clocks of the node.
     fn now(&self) -> Now {
         self.time.now_of(self.node.clock_ms, self.node.boot)
     }
@@ -89,16 +94,17 @@ impl Bench {
         self.time.now_ms += HOUR;
         let question = self.time.number();
         let now = self.now();
-        let Some((Some(batch), _)) = self.node.poll(question, now) else {
+        let Some(batch) = self.node.poll(question, now).and_then(|polled| polled.batch) else {
             return;
         };
         let mut reply = Err(b"no reply".to_vec());
         if fate != Fate::Lost {
             let payload = batch.to_payload(BatchCompression::Quick).unwrap();
-            let hub_now = self.time.now(0);
+            let hub_now = self.time.now();
             let batch = decode(&self.node.name, &payload, hub_now.unix_ms).unwrap();
-            self.hub.take(0, (0, question), batch);
-            let answer = self.hub.commit(0, hub_now).pop().unwrap().1;
+            let from = Asker { node: 0, question };
+            self.hub.take(PROCESS, from, batch);
+            let (_, answer) = self.hub.commit(PROCESS, hub_now).pop().unwrap();
             if fate == Fate::Answered {
                 reply = answer;
             }
@@ -157,7 +163,7 @@ fn clips_made_before_the_clock_was_set_are_stored_under_the_time_when_they_began
         bench.step(&Step::Clock(clock));
         let mut began = Vec::new();
         for _ in 0..3 {
-            began.push(bench.time.now(0).unix_ms);
+            began.push(bench.time.now().unix_ms);
             bench.make();
             bench.step(&Step::Pass(HOUR));
         }
@@ -176,7 +182,7 @@ fn clips_made_before_the_clock_was_set_are_stored_under_the_time_when_they_began
 
 fn step() -> impl Strategy<Value = Step> {
     // Near the limits of a hub, and anywhere.
-    let clock = prop_oneof![-400 * DAY..400 * DAY, -60 * YEAR..60 * YEAR, Just(0),];
+    let clock = prop_oneof![-400 * DAY..400 * DAY, -60 * YEAR..60 * YEAR, Just(0)];
     let fate = prop_oneof![
         Just(Fate::Lost),
         Just(Fate::Unanswered),

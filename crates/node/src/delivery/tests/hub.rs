@@ -11,8 +11,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// The node's index and the number of its request.
-pub(super) type Asker = (usize, u64);
+/// Who waits for a reply.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asker {
+    /// The node's index.
+    pub(super) node: usize,
+    /// The number of its request.
+    pub(super) question: u64,
+}
 
 pub(super) type Reply = Result<Vec<u8>, Vec<u8>>;
 
@@ -31,8 +37,13 @@ pub(super) struct HubFile {
     pub(super) backup: Option<Image>,
 }
 
-/// A database file and its write-ahead log.
-pub(super) type Image = (Vec<u8>, Vec<u8>);
+/// A copy of a database.
+#[derive(Clone)]
+pub(super) struct Image {
+    pub(super) file: Vec<u8>,
+    /// Its write-ahead log, empty if there is none.
+    pub(super) log: Vec<u8>,
+}
 
 impl HubFile {
     pub(super) fn new(folder: &Path) -> Self {
@@ -49,11 +60,17 @@ impl HubFile {
         database(&self.file)
     }
 
-    /// Makes the disk full, so that nothing can be written, or frees it.
-    pub(super) fn fill(&mut self, is_full: bool) {
-        if self.is_full() != is_full {
-            let text = ["ROLLBACK", "BEGIN IMMEDIATE"][usize::from(is_full)];
-            self.other.execute_batch(text).unwrap();
+    /// Makes the disk full, so that nothing can be written.
+    pub(super) fn fill(&mut self) {
+        if !self.is_full() {
+            self.other.execute_batch("BEGIN IMMEDIATE").unwrap();
+        }
+    }
+
+    /// Frees the disk.
+    pub(super) fn free(&mut self) {
+        if self.is_full() {
+            self.other.execute_batch("ROLLBACK").unwrap();
         }
     }
 
@@ -64,21 +81,26 @@ impl HubFile {
     /// Makes a backup, which is impossible while the disk is full.
     pub(super) fn back_up(&mut self) {
         if !self.is_full() {
-            self.backup = Some((image(&self.file), Vec::new()));
+            self.backup = Some(Image {
+                file: image(&self.file),
+                log: Vec::new(),
+            });
         }
     }
 
     /// Replaces the database and its write-ahead log while the hub is off.
-    pub(super) fn restore(&mut self, (database, log): &Image) {
+    pub(super) fn restore(&mut self, image: &Image) {
         let was_full = self.is_full();
-        self.fill(false);
+        self.free();
         self.other = Connection::open_in_memory().unwrap();
-        put(&self.file, database);
-        if !log.is_empty() {
-            std::fs::write(self.log_file(), log).unwrap();
+        put(&self.file, &image.file);
+        if !image.log.is_empty() {
+            std::fs::write(self.log_file(), &image.log).unwrap();
         }
         self.other = Connection::open(&self.file).unwrap();
-        self.fill(was_full);
+        if was_full {
+            self.fill();
+        }
     }
 
     fn log_file(&self) -> PathBuf {
@@ -90,8 +112,10 @@ impl HubFile {
     }
 
     pub(super) fn read(&self) -> Image {
-        let log = std::fs::read(self.log_file()).unwrap_or_default();
-        (std::fs::read(&self.file).unwrap(), log)
+        Image {
+            file: std::fs::read(&self.file).unwrap(),
+            log: std::fs::read(self.log_file()).unwrap_or_default(),
+        }
     }
 }
 
@@ -167,8 +191,8 @@ impl Hub {
         let Some(recorder) = &mut process.recorder else {
             return Vec::new();
         };
-        let (from, batches): (Vec<_>, Vec<_>) =
-            std::mem::take(&mut process.waiting).into_iter().unzip();
+        let waiting = std::mem::take(&mut process.waiting);
+        let (from, batches): (Vec<_>, Vec<_>) = waiting.into_iter().unzip();
         let recorded = recorder.record(&batches, &[], now);
         let replies: Vec<Reply> = match recorded {
             Ok(recorded) => {
@@ -235,7 +259,7 @@ impl Hub {
         assert_eq!(counted, stored, "reports counted as stored");
         let longest = number("SELECT COALESCE(max(length(ranges)), 0) FROM report_counts");
         assert!(longest <= 1000, "ranges of {longest} bytes");
-        let senseless = number("SELECT count(*) FROM set_aside");
-        assert_eq!(senseless, 0, "reports set aside");
+        let set_aside = number("SELECT count(*) FROM set_aside");
+        assert_eq!(set_aside, 0, "reports set aside");
     }
 }

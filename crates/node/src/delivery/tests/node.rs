@@ -2,7 +2,7 @@
 
 use super::hub::Reply;
 use crate::NodeError;
-use crate::delivery::uplink::{Schedule, conclude, read_reply};
+use crate::delivery::uplink::{HubPresence, Schedule, conclude, read_reply};
 use crate::outbox::tests::{Faults, report};
 use crate::outbox::{MAX_BYTES, Outbox, OutboxConfig, OutboxCounts};
 use albireo_service::clock::Now;
@@ -30,17 +30,38 @@ pub(super) fn until_unlocked<T>(open: impl Fn() -> Result<T, NodeError>) -> T {
     }
 }
 
+/// What a running node has.
+struct Running {
+    outbox: Outbox,
+    schedule: Schedule,
+}
+
+/// A batch that waits for a reply.
+struct SentBatch {
+    /// The number of the request.
+    question: u64,
+    batch: Rc<ReportBatch>,
+}
+
+/// What a node does next.
+pub(super) struct NextStep {
+    /// The batch that it sends now.
+    pub(super) batch: Option<Rc<ReportBatch>>,
+    /// The time until it is to be polled again.
+    pub(super) pause: Duration,
+}
+
 #[derive(Default)]
 pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
     pub(super) faults: Arc<Faults>,
-    running: Option<(Outbox, Schedule)>,
+    running: Option<Running>,
     /// How far its wall clock is ahead, ms.
     pub(super) clock_ms: i64,
     /// The number of times that its machine was started.
     pub(super) boot: u64,
-    reply: Option<(u64, Rc<ReportBatch>)>,
+    sent: Option<SentBatch>,
     /// Reports that exist only in memory.
     pub(super) in_memory: Vec<usize>,
     pub(super) kept_state: Option<Vec<u8>>,
@@ -102,19 +123,20 @@ impl Node {
         });
         let mut schedule = Schedule::new(&config, random, now.at);
         schedule.begin(now.at);
-        self.running = Some((outbox, schedule));
+        self.running = Some(Running { outbox, schedule });
     }
 
     /// Cuts the power; returns the reports lost because they existed only in memory.
     pub(super) fn crash(&mut self) -> Vec<usize> {
-        (self.running, self.reply) = (None, None);
+        self.end();
         self.boot += 1;
         std::mem::take(&mut self.in_memory)
     }
 
     /// Ends the program and not its machine.
     pub(super) fn end(&mut self) {
-        (self.running, self.reply) = (None, None);
+        self.running = None;
+        self.sent = None;
     }
 
     pub(super) fn state(&self) -> Option<Vec<u8>> {
@@ -125,20 +147,22 @@ impl Node {
         self.kept_state = self.state().or(self.kept_state.take());
     }
 
+    /// Reports that are in the file.
     pub(super) fn kept(&self) -> BTreeSet<usize> {
         if !self.file().exists() {
             return BTreeSet::new();
         }
-        let db = Connection::open(self.file()).unwrap();
-        let mut select = db.prepare("SELECT id FROM report").unwrap();
-        let ids = select.query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)));
-        ids.unwrap().map(|id| serial(id.unwrap())).collect()
+        self.select("SELECT id FROM report")
     }
 
     /// Reports that are in the file and will not be sent.
     pub(super) fn refused(&self) -> BTreeSet<usize> {
+        self.select("SELECT id FROM report WHERE state = 3")
+    }
+
+    fn select(&self, text: &str) -> BTreeSet<usize> {
         let db = Connection::open(self.file()).unwrap();
-        let mut select = db.prepare("SELECT id FROM report WHERE state = 3").unwrap();
+        let mut select = db.prepare(text).unwrap();
         let ids = select.query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)));
         ids.unwrap().map(|id| serial(id.unwrap())).collect()
     }
@@ -160,20 +184,20 @@ impl Node {
     }
 
     pub(super) fn make(&mut self, number: usize, random: u16, now: Now) {
-        let Some((outbox, _)) = &self.running else {
+        let Some(running) = &self.running else {
             return;
         };
         let mut bytes = [0; 10];
         bytes[..2].copy_from_slice(&random.to_be_bytes());
         bytes[6..].copy_from_slice(&(number as u32).to_be_bytes());
         let frames = frames(number);
+        let unix_ms = now.unix_ms.max(0).unsigned_abs();
         let made = ClipReport {
-            id: Builder::from_unix_timestamp_millis(now.unix_ms.max(0).unsigned_abs(), &bytes)
-                .into_uuid(),
+            id: Builder::from_unix_timestamp_millis(unix_ms, &bytes).into_uuid(),
             node: self.name.clone(),
             clip: number.to_string(),
             part: (number % 3) as u32,
-            started_ns: now.unix_ms.max(0).unsigned_abs() * 1_000_000,
+            started_ns: unix_ms * 1_000_000,
             frames,
             states: FrameStates {
                 i: frames,
@@ -181,7 +205,7 @@ impl Node {
             },
             ..report(0)
         };
-        outbox.change(|waiting| waiting.insert(&mut [made], now));
+        running.outbox.change(|waiting| waiting.insert(&mut [made], now));
         self.in_memory.push(number);
         self.note_durable();
     }
@@ -193,42 +217,46 @@ impl Node {
         }
     }
 
-    /// Says what is to be sent: a batch, as the question of that number; and when to call it again.
-    pub(super) fn poll(
-        &mut self,
-        question: u64,
-        now: Now,
-    ) -> Option<(Option<Rc<ReportBatch>>, Duration)> {
-        let (outbox, schedule) = self.running.as_mut()?;
+    /// What the node does next; `None` while it is off. A batch is the request number `question`.
+    pub(super) fn poll(&mut self, question: u64, now: Now) -> Option<NextStep> {
+        let Running { outbox, schedule } = self.running.as_mut()?;
         outbox.change(|waiting| waiting.retry_disk(now));
-        let mut sent = None;
-        if let Some(again) = schedule.next_batch(&outbox.counts(), true, false, now.at) {
-            match outbox.change(|waiting| waiting.batch(&self.name, again, now)) {
+        let mut next = None;
+        let counts = outbox.counts();
+        if let Some(scope) = schedule.next_batch(&counts, HubPresence::UNWATCHED, now.at) {
+            match outbox.change(|waiting| waiting.batch(&self.name, scope, now)) {
                 Some(batch) => {
                     let batch = Rc::new(batch);
-                    self.reply = Some((question, Rc::clone(&batch)));
-                    sent = Some(batch);
+                    next = Some(Rc::clone(&batch));
+                    self.sent = Some(SentBatch { question, batch });
                 }
                 None => schedule.batch_ended(&Ok(()), now.at),
             }
         }
-        let fails = outbox.counts().failing.is_some();
-        let latest = now.at + Duration::from_secs(if fails { 20 } else { 900 });
+        let longest_s = if outbox.counts().failing.is_some() {
+            20
+        } else {
+            900
+        };
+        let latest = now.at + Duration::from_secs(longest_s);
         let pause = schedule.next_due(latest, now.at) - now.at;
         self.note_durable();
-        Some((sent, pause))
+        Some(NextStep { batch: next, pause })
     }
 
     /// Receives a reply, if it waits for that one; returns the reports that the hub refuses permanently.
     pub(super) fn take(&mut self, question: u64, reply: &Reply, now: Now) -> Vec<usize> {
-        let asked = self.reply.take_if(|(asked, _)| *asked == question);
-        let Some(((outbox, schedule), (_, batch))) = self.running.as_mut().zip(asked) else {
+        let Some(Running { outbox, schedule }) = &mut self.running else {
+            return Vec::new();
+        };
+        let Some(SentBatch { batch, .. }) = self.sent.take_if(|sent| sent.question == question)
+        else {
             return Vec::new();
         };
         let reply = reply.as_deref().map_err(Vec::as_slice);
         let answer = read_reply::<ReportAnswer>(reply);
-        let refused = answer.iter().flat_map(|answer| &answer.refused);
-        let refused = refused.map(|refused| serial(refused.id)).collect();
+        let refusals = answer.iter().flat_map(|answer| &answer.refused);
+        let refused = refusals.map(|refusal| serial(refusal.id)).collect();
         let outcome = conclude(outbox, &batch, answer, now);
         if outcome.is_ok() {
             // Acknowledged reports no longer wait in memory.
@@ -241,7 +269,7 @@ impl Node {
     }
 
     pub(super) fn counts(&self) -> Option<OutboxCounts> {
-        self.running.as_ref().map(|(outbox, _)| outbox.counts())
+        self.running.as_ref().map(|running| running.outbox.counts())
     }
 
     pub(super) fn is_durable(&self) -> bool {
@@ -250,10 +278,11 @@ impl Node {
 
     pub(super) fn is_settled(&self) -> bool {
         let is_empty = |counts: OutboxCounts| counts.status.waiting + counts.again == 0;
-        self.reply.is_none() && self.is_durable() && self.counts().is_some_and(is_empty)
+        self.sent.is_none() && self.is_durable() && self.counts().is_some_and(is_empty)
     }
 }
 
+/// The number of frames in a report, which tells it from its neighbours.
 pub(super) fn frames(number: usize) -> u64 {
     1 + (number % 97) as u64
 }

@@ -3,15 +3,15 @@
 mod hub;
 mod node;
 
-use super::holds;
 use super::timeline::{HOUR, Payload, SECOND, Timeline, folder};
+use super::{Output, holds};
 use albireo_hub::tuning::gate::Gate;
 use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use albireo_hub::tuning::run::{Command, Kind};
 use albireo_hub::tuning::selector::Selector;
 use albireo_wire::{DesiredSetting, Target, Threshold};
 use hub::Hub;
-use node::Node;
+use node::{Node, Taken};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 use tempfile::TempDir;
@@ -74,14 +74,16 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    fn new(seed: u64, verbose: bool) -> Self {
+    fn new(seed: u64, output: Output) -> Self {
         let folder = folder();
-        let mut time = Timeline::new(seed, verbose);
+        let mut time = Timeline::new(seed, output);
         // A trial takes at least 16 nodes, and a run with so many takes long.
         let has_trials = time.chance(100);
-        let end_ms = time.between(HOUR / 4, if has_trials { HOUR / 2 } else { HOUR });
-        let nodes = if has_trials { 18 } else { 2 } + time.below(3) as usize;
-        let nodes = (0..nodes).map(|at| Node::new(format!("node-{at}"), folder.path()));
+        let longest = if has_trials { HOUR / 2 } else { HOUR };
+        let end_ms = time.between(HOUR / 4, longest);
+        let fewest_nodes = if has_trials { 18 } else { 2 };
+        let many = fewest_nodes + time.below(3) as usize;
+        let nodes = (0..many).map(|at| Node::new(format!("node-{at}"), folder.path()));
         let mut world = Self {
             end_ms,
             nodes: nodes.collect(),
@@ -98,13 +100,14 @@ impl Settings {
         for at in 0..world.nodes.len() {
             world.time.after(0, Event::NodeOn(at));
         }
-        let plenty = [(6, Event::Set), (10, Event::Fault), (2, Event::BackUp)];
+        // The most times that each of them happens.
+        let always = [(6, Event::Set), (10, Event::Fault), (2, Event::BackUp)];
         let runs = if has_trials {
             [(6, Event::PrepareTrial), (3, Event::EndTrial)]
         } else {
             [(4, Event::Rollout), (5, Event::Command)]
         };
-        for (most, event) in plenty.into_iter().chain(runs) {
+        for (most, event) in always.into_iter().chain(runs) {
             for _ in 0..=world.time.below(most) {
                 world.time.sometime(10 * SECOND, end_ms, event.clone());
             }
@@ -116,8 +119,8 @@ impl Settings {
         world
     }
 
-    pub(super) fn run(seed: u64, verbose: bool) -> String {
-        let mut world = Self::new(seed, verbose);
+    pub(super) fn run(seed: u64, output: Output) -> String {
+        let mut world = Self::new(seed, output);
         loop {
             let event = world.time.next();
             let is_tick = matches!(event, Event::Tick);
@@ -138,7 +141,7 @@ impl Settings {
         match event {
             Event::Poll(at) => self.poll(at),
             Event::Status(at, payload) => {
-                let now = self.time.now(0);
+                let now = self.time.now();
                 if self.hub.hear(&self.nodes[at].name, &payload.0, now) {
                     self.time.send(&Event::Notice(at));
                 }
@@ -157,13 +160,13 @@ impl Settings {
             }
             Event::NodeOn(at) => self.node_on(at),
             Event::HubOn => {
-                if !self.hub.switch_on(self.time.now(0)) {
+                if !self.hub.switch_on(self.time.now()) {
                     self.time.after(5 * SECOND, Event::HubOn);
                 }
             }
-            Event::HubDiskFree => self.hub.file.fill(false),
+            Event::HubDiskFree => self.hub.file.free(),
             Event::Tick => {
-                self.hub.tick(self.time.now(0));
+                self.hub.tick(self.time.now());
                 self.notices();
                 self.time.after(TICK, Event::Tick);
             }
@@ -172,20 +175,20 @@ impl Settings {
             Event::Command => {
                 let command = self.time.one_of(&Command::ALL);
                 let which = self.time.random();
-                self.hub.command(which, command, self.time.now(0));
+                self.hub.command(which, command, self.time.now());
                 self.notices();
             }
             Event::PrepareTrial => {
                 let all = self.all();
                 let off = DesiredSetting::Target(None);
-                self.hub.set(&all, off, self.time.now(0));
+                self.hub.set(&all, off, self.time.now());
                 self.notices();
                 self.time.after(60 * SECOND, Event::Trial);
             }
             Event::Trial => self.trial(),
             Event::EndTrial => {
                 let which = self.time.random();
-                self.hub.end_trial(which, self.time.now(0));
+                self.hub.end_trial(which, self.time.now());
                 self.notices();
             }
             Event::KeepNode(at) => self.nodes[at].keep_state(),
@@ -197,7 +200,7 @@ impl Settings {
 
     fn node_on(&mut self, at: usize) {
         if !self.nodes[at].is_on() {
-            let now = self.time.now(0);
+            let now = self.time.now();
             let random = self.time.random();
             self.nodes[at].switch_on(now, random);
             self.time.after(0, Event::Poll(at));
@@ -205,15 +208,15 @@ impl Settings {
     }
 
     fn poll(&mut self, at: usize) {
-        let now = self.time.now(0);
+        let now = self.time.now();
         let question = self.time.number();
-        let Some((status, pulls)) = self.nodes[at].poll(question, now) else {
+        let Some(next) = self.nodes[at].poll(question, now) else {
             return;
         };
-        if let Some(status) = status {
+        if let Some(status) = next.status {
             self.time.send(&Event::Status(at, Payload(Rc::new(status))));
         }
-        if pulls {
+        if next.pulls {
             self.time.send(&Event::Pull(at, question));
             let unanswered = Event::Pulled(at, question, None);
             self.time.after(10 * SECOND, unanswered);
@@ -223,13 +226,13 @@ impl Settings {
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
-        let now = self.time.now(0);
+        let now = self.time.now();
         let before = self.nodes[at].state();
         let Some(taken) = self.nodes[at].conclude(question, answer, now) else {
             return;
         };
         self.time.note(&taken);
-        let (revision, setting) = taken;
+        let Taken { revision, setting } = taken;
         let highest = self.highest;
         holds(
             "no node has a revision that no hub gave",
@@ -295,7 +298,7 @@ impl Settings {
         let names = self.some();
         let setting = self.setting();
         self.time.note(&format!("{setting:?} for {names:?}"));
-        self.hub.set(&names, setting, self.time.now(0));
+        self.hub.set(&names, setting, self.time.now());
         self.notices();
     }
 
@@ -303,9 +306,16 @@ impl Settings {
         let names = self.some();
         let value = self.value();
         let seed = self.time.random();
-        let [soak_s, patience_s, apply_within_s, held_for_s] =
-            [(); 4].map(|()| self.time.between(10, 300) as f64);
-        let holds = self.time.chance(300);
+        let mut seconds = || self.time.between(10, 300) as f64;
+        let soak_s = seconds();
+        let patience_s = seconds();
+        let apply_within_s = seconds();
+        let held_for_s = seconds();
+        let on_failure = if self.time.chance(300) {
+            OnFailure::Hold
+        } else {
+            OnFailure::Return
+        };
         let passes = self.time.chance(500);
         let mut gates = Gate::defaults();
         // Nothing is measured, so only rollouts that need no measurement pass.
@@ -324,25 +334,25 @@ impl Settings {
             offline_deadline_s: 600.0,
             gates,
             fewest_applied: 0.5,
-            on_failure: [OnFailure::Return, OnFailure::Hold][usize::from(holds)],
+            on_failure,
         };
         let to = Threshold::new("u", value);
         self.begin(Kind::Rollout { to, plan });
     }
 
     fn trial(&mut self) {
-        let [duration_s, apply_within_s] = [(); 2].map(|()| self.time.between(10, 300) as f64);
-        let values = [(); 2].map(|()| Threshold::new("u", self.value()));
+        let duration_s = self.time.between(10, 300) as f64;
+        let apply_within_s = self.time.between(10, 300) as f64;
+        let values = [self.value(), self.value()].map(|value| Threshold::new("u", value));
         let basics = Basics {
             select: Selector::new(&self.all()).unwrap(),
             apply_within_s,
             seed: Some(self.time.random()),
             ..Basics::default()
         };
-        let values = values.to_vec();
         let plan = TrialPlan {
             basics,
-            values,
+            values: values.to_vec(),
             duration_s,
         };
         self.begin(Kind::Trial { plan });
@@ -350,7 +360,7 @@ impl Settings {
 
     fn begin(&mut self, kind: Kind) {
         self.time.note(&kind);
-        self.hub.begin(kind, self.time.now(0));
+        self.hub.begin(kind, self.time.now());
         self.notices();
     }
 
@@ -397,7 +407,7 @@ impl Settings {
                 let names = self.some();
                 let setting = self.setting();
                 let command = self.time.one_of(&Command::ALL);
-                let now = self.time.now(0);
+                let now = self.time.now();
                 let before = self.hub.file.read();
                 match event {
                     0 => self.hub.set(&names, setting, now),
@@ -412,7 +422,7 @@ impl Settings {
                 }
             }
             "hub's disk is full" => {
-                self.hub.file.fill(true);
+                self.hub.file.fill();
                 self.time.after(lasts, Event::HubDiskFree);
             }
             "hub is put back from a backup" => {
@@ -421,7 +431,7 @@ impl Settings {
                 {
                     // No backup is restored within the few seconds by which revisions may be ahead of the clock.
                     self.hub_crash(60 * SECOND);
-                    self.hub.file.fill(false);
+                    self.hub.file.free();
                     self.hub.file.restore(&backup);
                     self.restored_ms = self.time.now_ms;
                 }
@@ -436,9 +446,9 @@ impl Settings {
     }
 
     fn heal(&mut self) {
-        (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
-        self.hub.file.fill(false);
-        let now = self.time.now(0);
+        self.time.calm_down();
+        self.hub.file.free();
+        let now = self.time.now();
         assert!(self.hub.switch_on(now));
         self.hub.tick(now);
         for at in 0..self.nodes.len() {

@@ -1,5 +1,6 @@
 //! Virtual time: a seed decides what happens when, which messages are lost, and what fails.
 
+use super::Output;
 use albireo_service::clock::{Now, Uptime};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -36,17 +37,18 @@ pub(super) struct Timeline<E> {
     random: Pcg64Mcg,
     began: Instant,
     pub(super) now_ms: i64,
+    /// By the time at which they happen, then in the order in which they were planned.
     events: BTreeMap<(i64, u64), E>,
     numbers: u64,
     /// True once nothing may fail any more.
     pub(super) is_calm: bool,
     pub(super) cut_until_ms: i64,
     trace: String,
-    verbose: bool,
+    output: Output,
 }
 
 impl<E: Clone + std::fmt::Debug> Timeline<E> {
-    pub(super) fn new(seed: u64, verbose: bool) -> Self {
+    pub(super) fn new(seed: u64, output: Output) -> Self {
         Self {
             random: Pcg64Mcg::seed_from_u64(seed),
             began: Instant::now(),
@@ -56,8 +58,14 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
             is_calm: false,
             cut_until_ms: 0,
             trace: String::new(),
-            verbose,
+            output,
         }
+    }
+
+    /// Lets nothing fail any more.
+    pub(super) fn calm_down(&mut self) {
+        self.is_calm = true;
+        self.cut_until_ms = 0;
     }
 
     pub(super) fn random(&mut self) -> u64 {
@@ -113,6 +121,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.events.values()
     }
 
+    /// The present on a machine whose wall clock is ahead by `clock_ms`, and that was started `boot` times.
     pub(super) fn now_of(&self, clock_ms: i64, boot: u64) -> Now {
         Now {
             at: self.began + Duration::from_millis(self.now_ms.unsigned_abs()),
@@ -124,13 +133,19 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         }
     }
 
-    pub(super) fn now(&self, clock_ms: i64) -> Now {
+    /// The present by a clock that is right.
+    pub(super) fn now(&self) -> Now {
+        self.now_by(0)
+    }
+
+    /// The present by a wall clock that is ahead by `clock_ms`.
+    pub(super) fn now_by(&self, clock_ms: i64) -> Now {
         self.now_of(clock_ms, 0)
     }
 
     pub(super) fn note(&mut self, what: &impl std::fmt::Debug) {
         let line = format!("{:>9} {what:?}", self.now_ms);
-        if self.verbose {
+        if self.output == Output::Printed {
             println!("{}", line.chars().take(200).collect::<String>());
         }
         self.trace.push_str(&line);

@@ -1,9 +1,10 @@
 //! Plays the events of nodes and a hub in order of virtual time.
 
-use super::holds;
 use super::hub::{Asker, Hub, Reply};
 use super::node::{Node, put, serial};
 use super::timeline::{DAY, HOUR, Payload, SECOND, Timeline, folder};
+use super::{Output, holds};
+use crate::outbox::OutboxCounts;
 use albireo_hub::ingest::decode;
 use albireo_service::clock::Now;
 use albireo_wire::{BatchCompression, ReportBatch};
@@ -70,11 +71,12 @@ pub(super) struct World {
     /// Reports lost with whatever held them, or refused by the hub by name: stored at most once.
     excused: BTreeSet<usize>,
     /// The fault that may set a clock by months or years. With both clocks off at once, nobody could tell what is old.
-    far: &'static str,
+    far_clock: &'static str,
     /// Reports that the hub lost when its backup was restored.
     forgotten: BTreeSet<usize>,
-    /// Flipped bits, and the reports that may have been damaged.
+    /// The number of flipped bits.
     flips: u64,
+    /// Reports that a flipped bit may have damaged.
     damaged: BTreeSet<usize>,
     /// True if a node's state was restored after a flip.
     losses_are_rewound: bool,
@@ -83,17 +85,17 @@ pub(super) struct World {
 }
 
 impl World {
-    fn new(seed: u64, verbose: bool) -> Self {
+    fn new(seed: u64, output: Output) -> Self {
         let folder = folder();
         let mut world = Self {
-            time: Timeline::new(seed, verbose),
+            time: Timeline::new(seed, output),
             end_ms: 0,
             nodes: Vec::new(),
             hub: Hub::new(folder.path()),
             folder,
             reports: 0,
             excused: BTreeSet::new(),
-            far: "",
+            far_clock: "",
             forgotten: BTreeSet::new(),
             flips: 0,
             damaged: BTreeSet::new(),
@@ -105,7 +107,8 @@ impl World {
             let name = format!("node-{}", world.nodes.len());
             world.add_node(name, None);
         }
-        for process in 0..=usize::from(world.time.chance(300)) {
+        let processes = if world.time.chance(300) { 2 } else { 1 };
+        for process in 0..processes {
             world.time.after(0, Event::HubOn(process));
         }
         for _ in 0..world.time.below(12) {
@@ -114,17 +117,17 @@ impl World {
         for at in 0..world.nodes.len() {
             world.time.sometime(0, world.end_ms, Event::KeepNode(at));
         }
-        world.far = world.time.one_of(&["", NODE_CLOCK, HUB_CLOCK]);
+        world.far_clock = world.time.one_of(&["", NODE_CLOCK, HUB_CLOCK]);
         // The hub asks for what it forgot within the week for which nodes keep it, by their own clocks.
-        if world.far != NODE_CLOCK {
+        if world.far_clock != NODE_CLOCK {
             world.time.sometime(0, world.end_ms, Event::BackUp);
         }
         world.time.after(world.end_ms, Event::End);
         world
     }
 
-    pub(super) fn run(seed: u64, verbose: bool) -> String {
-        let mut world = Self::new(seed, verbose);
+    pub(super) fn run(seed: u64, output: Output) -> String {
+        let mut world = Self::new(seed, output);
         while !(world.time.is_calm && world.is_settled()) {
             let event = world.time.next();
             world.handle(event);
@@ -159,25 +162,26 @@ impl World {
                 }
             }
             Event::Batch(from, Sent(batch)) => {
-                let process = usize::from(self.hub.is_on(1) && self.time.chance(500));
+                let process = self.one_process();
                 if self.hub.is_on(process) {
                     let payload = batch.to_payload(BatchCompression::Quick).unwrap();
                     let payload = Payload(Rc::new(payload));
                     self.time.note(&payload);
-                    let now = self.time.now(self.hub.processes[process].clock_ms);
-                    let batch = decode(&self.nodes[from.0].name, &payload.0, now.unix_ms).unwrap();
+                    let now = self.now_at_hub(process);
+                    let name = &self.nodes[from.node].name;
+                    let batch = decode(name, &payload.0, now.unix_ms).unwrap();
                     self.hub.take(process, from, batch);
                     self.time.after(100, Event::Commit(process));
                 }
             }
             Event::Commit(process) => self.commit(process),
-            Event::Reply((at, question), reply) => {
+            Event::Reply(Asker { node: at, question }, reply) => {
                 if self.time.unlucky(10) {
                     return self.node_crash(at);
                 }
                 let now = self.now_at(at);
                 let refused = self.nodes[at].take(question, &reply.0, now);
-                let is_right = refused.is_empty() || self.is_rewound || self.far == HUB_CLOCK;
+                let is_right = refused.is_empty() || self.is_rewound || self.far_clock == HUB_CLOCK;
                 holds(
                     "no clock of a node makes a hub refuse a report",
                     is_right,
@@ -191,11 +195,10 @@ impl World {
             }
             Event::NodeOn(at) => self.node_on(at),
             Event::HubOn(process) => {
-                let now = self.time.now(self.hub.processes[process].clock_ms);
-                self.hub.switch_on(process, now);
+                self.hub.switch_on(process, self.now_at_hub(process));
             }
-            Event::NodeDiskFree(at) => self.nodes[at].faults.fill_disk(false),
-            Event::HubDiskFree => self.hub.file.fill(false),
+            Event::NodeDiskFree(at) => self.nodes[at].faults.free_disk(),
+            Event::HubDiskFree => self.hub.file.free(),
             Event::KeepNode(at) => self.nodes[at].keep_state(),
             Event::BackUp => self.hub.file.back_up(),
             Event::Fault => self.fault(),
@@ -227,6 +230,20 @@ impl World {
         self.time.now_of(node.clock_ms, node.boot + ((at as u64) << 32))
     }
 
+    /// The present by the clock of a process of the hub.
+    fn now_at_hub(&self, process: usize) -> Now {
+        self.time.now_by(self.hub.processes[process].clock_ms)
+    }
+
+    /// One of the hub's processes: the first, if the second is off.
+    fn one_process(&mut self) -> usize {
+        if self.hub.is_on(1) && self.time.chance(500) {
+            1
+        } else {
+            0
+        }
+    }
+
     /// After a power cut, running counts that were not on the disk are missing or given again.
     fn note_counts(&mut self, at: usize) {
         if !self.nodes[at].is_durable() {
@@ -250,20 +267,21 @@ impl World {
     fn poll(&mut self, at: usize) {
         let question = self.time.number();
         let now = self.now_at(at);
-        let Some((batch, pause)) = self.nodes[at].poll(question, now) else {
+        let Some(next) = self.nodes[at].poll(question, now) else {
             return;
         };
-        if let Some(batch) = batch {
-            self.time.send(&Event::Batch((at, question), Sent(batch)));
+        if let Some(batch) = next.batch {
+            let asker = Asker { node: at, question };
+            self.time.send(&Event::Batch(asker, Sent(batch)));
             let unanswered = Payload(Rc::new(Err(b"no reply".to_vec())));
-            self.time.after(10 * SECOND, Event::Reply((at, question), unanswered));
+            self.time.after(10 * SECOND, Event::Reply(asker, unanswered));
         }
-        let pause = (pause.as_millis() as i64).max(1);
-        let at_ms = self.time.now_ms + pause;
+        let pause_ms = (next.pause.as_millis() as i64).max(1);
+        let at_ms = self.time.now_ms + pause_ms;
         let looks_at_ms = &mut self.nodes[at].looks_at_ms;
         if looks_at_ms.is_none_or(|looks_at_ms| at_ms < looks_at_ms) {
             *looks_at_ms = Some(at_ms);
-            self.time.after(pause, Event::Poll(at));
+            self.time.after(pause_ms, Event::Poll(at));
         }
     }
 
@@ -271,8 +289,7 @@ impl World {
         if self.time.unlucky(15) {
             return self.hub_crash(process);
         }
-        let now = self.time.now(self.hub.processes[process].clock_ms);
-        let replies = self.hub.commit(process, now);
+        let replies = self.hub.commit(process, self.now_at_hub(process));
         if self.time.unlucky(15) {
             return self.hub_crash(process);
         }
@@ -300,17 +317,17 @@ impl World {
 
     fn fault(&mut self) {
         let at = self.time.below(self.nodes.len() as u64) as usize;
-        let process = usize::from(self.hub.is_on(1) && self.time.chance(500));
+        let process = self.one_process();
         let fault = self.time.one_of(&FAULTS);
         let lasts = self.time.between(SECOND, HOUR / 2);
         self.time.note(&format!("{fault} (node {at})"));
         match fault {
             "node loses power" => self.node_crash(at),
             "node's disk is full" => {
-                self.nodes[at].faults.fill_disk(true);
+                self.nodes[at].faults.fill_disk();
                 self.time.after(lasts, Event::NodeDiskFree(at));
             }
-            NODE_CLOCK => self.nodes[at].clock_ms = self.clock(fault == self.far),
+            NODE_CLOCK => self.nodes[at].clock_ms = self.draw_clock(fault),
             "a bit of a node's files flips" => self.flip(at),
             "node's state is restored" => self.restore_node(at),
             "node's state is copied" => self.copy_node(at, format!("copy-{}", self.nodes.len())),
@@ -319,21 +336,25 @@ impl World {
             }
             "hub is killed" => self.hub_crash(process),
             "hub's disk is full" => {
-                self.hub.file.fill(true);
+                self.hub.file.fill();
                 self.time.after(lasts, Event::HubDiskFree);
             }
-            HUB_CLOCK => self.hub.processes[process].clock_ms = self.clock(fault == self.far),
+            HUB_CLOCK => self.hub.processes[process].clock_ms = self.draw_clock(fault),
             "hub is put back from a backup" => self.restore_hub(),
             "network is cut" => self.time.cut_until_ms = self.time.now_ms + lasts,
             _ => unreachable!("{fault}"),
         }
     }
 
-    /// Draws how far a clock is ahead from now on, ms.
-    fn clock(&mut self, far: bool) -> i64 {
+    /// Draws how far the clock that a fault sets is ahead from now on, ms.
+    fn draw_clock(&mut self, fault: &str) -> i64 {
         let near = [1, HOUR, 3 * DAY];
-        let all = [1, HOUR, 3 * DAY, 40 * DAY, 400 * DAY, 60 * 365 * DAY];
-        let most = self.time.one_of(if far { &all[..] } else { &near });
+        let near_and_far = [1, HOUR, 3 * DAY, 40 * DAY, 400 * DAY, 60 * 365 * DAY];
+        let most = if fault == self.far_clock {
+            self.time.one_of(&near_and_far)
+        } else {
+            self.time.one_of(&near)
+        };
         self.time.between(1 - most, most)
     }
 
@@ -383,7 +404,7 @@ impl World {
             self.hub_crash(process);
         }
         let before = self.hub.stored();
-        self.hub.file.fill(false);
+        self.hub.file.free();
         self.hub.file.restore(&backup);
         let after = self.hub.stored();
         let lost = before.into_keys().filter(|one| !after.contains_key(one));
@@ -411,15 +432,15 @@ impl World {
 
     /// Ends all faults; each node makes one more report.
     fn heal(&mut self) {
-        (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
-        self.hub.file.fill(false);
+        self.time.calm_down();
+        self.hub.file.free();
         for process in 0..2 {
             if !self.hub.is_on(process) {
                 self.time.after(0, Event::HubOn(process));
             }
         }
         for at in 0..self.nodes.len() {
-            self.nodes[at].faults.fill_disk(false);
+            self.nodes[at].faults.free_disk();
             self.node_on(at);
             self.make(at);
         }
@@ -459,15 +480,18 @@ impl World {
             || format!("report {last:?}"),
         );
         self.hub.check();
-        let counts = self.nodes.iter().filter_map(Node::counts).map(|counts| counts.status);
-        let told = counts.map(|status| status.lost + status.undeliverable).sum::<u64>();
+        let counts = self.nodes.iter().filter_map(Node::counts);
+        let told_by = |counts: OutboxCounts| counts.status.lost + counts.status.undeliverable;
+        let told: u64 = counts.map(told_by).sum();
         // A report that a restored hub forgot was delivered: its node counts no loss. And a second flip may hit the count
         // of what the first one took; the log has told it then.
-        let is_gone = |one: &&usize| !stored.contains_key(one) && !self.forgotten.contains(one);
-        let gone = match self.flips {
-            1 if !self.losses_are_rewound => self.damaged.iter().filter(is_gone).count() as u64,
-            _ => 0,
-        };
+        let mut gone = 0;
+        if self.flips == 1 && !self.losses_are_rewound {
+            for report in &self.damaged {
+                let is_gone = !stored.contains_key(report) && !self.forgotten.contains(report);
+                gone += u64::from(is_gone);
+            }
+        }
         holds(
             "what a flipped bit takes is counted at the node",
             gone <= told,

@@ -5,6 +5,7 @@ use crate::state::board::Board;
 use albireo_wire::{Desired, DesiredSetting, RefusedRevision, SettingSource};
 use serde::{Deserialize, Serialize};
 
+/// The name under which the settings file keeps what the node knows.
 const SETTING: &str = "desired";
 
 /// What a node knows of its desired setting, over restarts.
@@ -34,16 +35,16 @@ pub(in crate::delivery) fn known(settings: &Settings) -> KnownRevision {
 /// one. The setting and its revision are kept by one write: a power loss leaves both or none.
 pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &Board) -> bool {
     let before = known(settings);
-    let known = before.revision();
+    let highest = before.revision();
     let revision = desired.revision;
-    if revision < known {
+    if revision < highest {
         tracing::warn!(
             revision,
-            known,
+            known = highest,
             "ignored a desired setting older than the known one"
         );
     }
-    if revision <= known {
+    if revision <= highest {
         return false;
     }
     settings.set_in_turn(settings.turns.place(), |transaction| {
@@ -57,7 +58,7 @@ pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &
                 transaction.target(target, hub).map_err(Into::into)
             }
         };
-        let known = match applied {
+        let after = match applied {
             Ok(()) => KnownRevision {
                 in_force: revision,
                 refused: None,
@@ -69,7 +70,7 @@ pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &
                 KnownRevision { refused, ..before }
             }
         };
-        transaction.keep(SETTING, &known);
+        transaction.keep(SETTING, &after);
     });
     true
 }

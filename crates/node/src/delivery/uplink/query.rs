@@ -11,10 +11,13 @@ pub(super) async fn ask<T: DeserializeOwned>(
     querier: &Querier<'_>,
     payload: Vec<u8>,
 ) -> Result<T, Failure> {
-    let replies = querier.get().payload(payload).await.map_err(|error| {
-        tracing::debug!(%error, "the hub cannot be queried");
-        Failure::Unanswered
-    })?;
+    let replies = match querier.get().payload(payload).await {
+        Ok(replies) => replies,
+        Err(error) => {
+            tracing::debug!(%error, "the hub cannot be queried");
+            return Err(Failure::Unanswered);
+        }
+    };
     while let Ok(reply) = replies.recv_async().await {
         let read = match reply.result() {
             Ok(sample) => read_reply(Ok(&sample.payload().to_bytes())),

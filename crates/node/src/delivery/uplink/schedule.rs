@@ -1,7 +1,7 @@
 //! Decides when the uplink sends what. Has no clock and no network: callers pass times and results.
 
 use crate::backoff::Backoff;
-use crate::outbox::{OutboxConfig, OutboxCounts};
+use crate::outbox::{BatchScope, OutboxConfig, OutboxCounts};
 use std::time::{Duration, Instant};
 
 /// The time between two batches with reports that a hub has lost: a whole fleet sends them at the same time.
@@ -27,7 +27,7 @@ pub(crate) enum Failure {
 /// Queries of one kind: one at a time, with pauses after failures.
 #[derive(Debug)]
 struct Attempts {
-    under_way: bool,
+    is_under_way: bool,
     not_before: Option<Instant>,
     backoff: Backoff,
 }
@@ -35,18 +35,18 @@ struct Attempts {
 impl Attempts {
     fn new(config: &OutboxConfig, random: u64) -> Self {
         Self {
-            under_way: false,
+            is_under_way: false,
             not_before: None,
             backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
         }
     }
 
     fn may_begin(&self, now: Instant) -> bool {
-        !self.under_way && self.not_before.is_none_or(|at| now >= at)
+        !self.is_under_way && self.not_before.is_none_or(|at| now >= at)
     }
 
     fn ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
-        self.under_way = false;
+        self.is_under_way = false;
         self.not_before = match outcome {
             Ok(_) => {
                 self.backoff.reset();
@@ -69,7 +69,7 @@ pub(crate) struct Schedule {
     due_at: Option<Instant>,
     reports: Attempts,
     pulls: Attempts,
-    pull_wanted: bool,
+    wants_pull: bool,
     /// The earliest time for a batch with reports that a hub has lost.
     again_at: Option<Instant>,
     /// The last time at which a hub answered, or had nothing to answer.
@@ -81,6 +81,24 @@ pub(crate) struct Schedule {
     patience: Duration,
     /// The time for which it is normal to reach no hub.
     offline: Duration,
+}
+
+/// What a session shows of the hub.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct HubPresence {
+    /// True if a hub takes reports.
+    pub is_connected: bool,
+    /// True while somebody watches the node through a hub: then even a single report is worth a batch.
+    pub watches: bool,
+}
+
+impl HubPresence {
+    /// A hub that takes reports, and through which nobody watches.
+    #[cfg(test)]
+    pub(crate) const UNWATCHED: Self = Self {
+        is_connected: true,
+        watches: false,
+    };
 }
 
 /// Why no hub acknowledges the reports that are due.
@@ -102,7 +120,7 @@ impl Schedule {
             due_at: Some(now),
             reports: Attempts::new(config, random),
             pulls: Attempts::new(config, random.rotate_left(32)),
-            pull_wanted: true,
+            wants_pull: true,
             again_at: None,
             answered_at: now,
             owed_since: None,
@@ -114,10 +132,10 @@ impl Schedule {
 
     /// Begins a session: earlier queries get no answers.
     pub(crate) fn begin(&mut self, now: Instant) {
-        self.reports.under_way = false;
-        self.pulls.under_way = false;
+        self.reports.is_under_way = false;
+        self.pulls.is_under_way = false;
         self.due_at = Some(now);
-        self.pull_wanted = true;
+        self.wants_pull = true;
         self.answered_at = now;
     }
 
@@ -129,32 +147,33 @@ impl Schedule {
 
     /// Requests a pull of the desired setting.
     pub(crate) fn want_pull(&mut self) {
-        self.pull_wanted = true;
+        self.wants_pull = true;
     }
 
-    /// True if the waiting reports are worth a batch; a single one is while somebody watches the node (`watched`).
-    fn is_due(&mut self, waiting: u64, watched: bool, now: Instant) -> bool {
-        if waiting == 0 {
+    /// Notes when the waiting reports are due.
+    fn gather(&mut self, waiting: u64, now: Instant) {
+        if waiting > 0 {
+            self.due_at.get_or_insert(now + self.gather);
+        } else {
             // What was due has gone; the next report may wait again.
             self.due_at.take_if(|at| *at > now);
-            return false;
         }
-        let due_at = *self.due_at.get_or_insert(now + self.gather);
-        watched || waiting >= GATHERED || now >= due_at
     }
 
-    /// Starts a batch if one is due and a hub takes reports (`connected`). Returns true if it includes reports that a hub has
-    /// lost.
+    /// Starts a batch if one is due and a hub takes reports, and returns which reports it may have.
     pub(crate) fn next_batch(
         &mut self,
         counts: &OutboxCounts,
-        connected: bool,
-        watched: bool,
+        hub: HubPresence,
         now: Instant,
-    ) -> Option<bool> {
-        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
-        let is_worth_it = self.is_due(counts.status.waiting, watched, now) || again;
-        if !is_worth_it || !connected {
+    ) -> Option<BatchScope> {
+        let waiting = counts.status.waiting;
+        self.gather(waiting, now);
+        let is_time = self.due_at.is_some_and(|at| now >= at);
+        let is_due = waiting > 0 && (hub.watches || waiting >= GATHERED || is_time);
+        let is_again_due = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
+        let is_worth_it = is_due || is_again_due;
+        if !is_worth_it || !hub.is_connected {
             self.answered_at = now;
         }
         if !is_worth_it {
@@ -162,14 +181,15 @@ impl Schedule {
             return None;
         }
         self.owed_since.get_or_insert(now);
-        if !connected || !self.reports.may_begin(now) {
+        if !hub.is_connected || !self.reports.may_begin(now) {
             return None;
         }
-        self.reports.under_way = true;
-        if again {
-            self.again_at = Some(now + AGAIN_EVERY);
+        self.reports.is_under_way = true;
+        if !is_again_due {
+            return Some(BatchScope::New);
         }
-        Some(again)
+        self.again_at = Some(now + AGAIN_EVERY);
+        Some(BatchScope::NewAndForgotten)
     }
 
     /// Records the outcome of a batch, or that there was nothing to send.
@@ -213,18 +233,18 @@ impl Schedule {
     }
 
     /// True if a batch is in flight.
-    pub(crate) const fn sends(&self) -> bool {
-        self.reports.under_way
+    pub(crate) const fn is_sending(&self) -> bool {
+        self.reports.is_under_way
     }
 
     /// Starts a pull of the desired setting if one is due, and returns true if so.
     pub(crate) fn next_pull(&mut self, now: Instant) -> bool {
-        let pull = self.pull_wanted && self.pulls.may_begin(now);
-        if pull {
-            self.pulls.under_way = true;
-            self.pull_wanted = false;
+        let is_due = self.wants_pull && self.pulls.may_begin(now);
+        if is_due {
+            self.pulls.is_under_way = true;
+            self.wants_pull = false;
         }
-        pull
+        is_due
     }
 
     /// Records the outcome of a pull.
@@ -232,7 +252,7 @@ impl Schedule {
         self.pulls.ended(outcome, now);
         match outcome {
             Ok(_) => self.answered_at = now,
-            Err(_) => self.pull_wanted = true,
+            Err(_) => self.wants_pull = true,
         }
     }
 
@@ -243,7 +263,7 @@ impl Schedule {
 
     /// The time of the next check: `latest`, or the end of a pause if that is earlier.
     pub(crate) fn next_due(&self, latest: Instant, now: Instant) -> Instant {
-        let next_pull = if self.pull_wanted {
+        let next_pull = if self.wants_pull {
             self.pulls.not_before
         } else {
             None
@@ -265,6 +285,17 @@ mod tests {
 
     const DONE: Result<(), Failure> = Ok(());
     const UNANSWERED: Result<(), Failure> = Err(Failure::Unanswered);
+    const CONNECTED: bool = true;
+    const NO_HUB: bool = false;
+    const NEW: Option<BatchScope> = Some(BatchScope::New);
+    const NEW_AND_FORGOTTEN: Option<BatchScope> = Some(BatchScope::NewAndForgotten);
+
+    fn refused(why: &str, at_least: Duration) -> Failure {
+        Failure::Refused {
+            at_least,
+            why: why.to_owned(),
+        }
+    }
 
     struct Bench {
         schedule: Schedule,
@@ -284,16 +315,16 @@ mod tests {
             self.start + Duration::from_millis(ms)
         }
 
-        fn batch(&mut self, waiting: u64, ms: u64) -> Option<bool> {
+        fn batch(&mut self, waiting: u64, ms: u64) -> Option<BatchScope> {
             self.batch_of(waiting, 0, ms)
         }
 
-        fn batch_of(&mut self, waiting: u64, again: u64, ms: u64) -> Option<bool> {
+        fn batch_of(&mut self, waiting: u64, again: u64, ms: u64) -> Option<BatchScope> {
             let mut counts = OutboxCounts::default();
             counts.status.waiting = waiting;
             counts.again = again;
             let now = self.at(ms);
-            self.schedule.next_batch(&counts, true, false, now)
+            self.schedule.next_batch(&counts, HubPresence::UNWATCHED, now)
         }
 
         /// Lets a pull fail at the start, which then moves to the end of the pause.
@@ -317,26 +348,26 @@ mod tests {
     fn reports_are_gathered_up_to_a_number_or_a_time() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(0, 0), None);
-        assert_eq!(bench.batch(1, 1000), Some(false), "the first goes at once");
+        assert_eq!(bench.batch(1, 1000), NEW, "the first goes at once");
         assert_eq!(bench.batch(1, 1000), None, "one at a time");
         bench.ended(DONE, 1100);
         for waiting in 1..GATHERED {
             assert_eq!(bench.batch(waiting, 20_000 * waiting), None);
         }
-        assert_eq!(bench.batch(GATHERED, 320_000), Some(false));
+        assert_eq!(bench.batch(GATHERED, 320_000), NEW);
         bench.ended(DONE, 320_100);
         assert_eq!(bench.batch(1, 400_000), None);
         assert_eq!(bench.batch(1, 999_000), None);
-        assert_eq!(bench.batch(1, 1_000_000), Some(false), "ten minutes");
+        assert_eq!(bench.batch(1, 1_000_000), NEW, "ten minutes");
         // What could not be delivered stays worth it.
         bench.ended(UNANSWERED, 1_000_100);
-        assert_eq!(bench.batch(2, 1_002_000), Some(false));
+        assert_eq!(bench.batch(2, 1_002_000), NEW);
         bench.ended(DONE, 1_002_100);
         assert_eq!(bench.batch(3, 1_003_000), None);
         let now = bench.at(1_004_000);
         bench.schedule.begin(now);
         let of_a_new_session = bench.batch(3, 1_004_000);
-        assert_eq!(of_a_new_session, Some(false));
+        assert_eq!(of_a_new_session, NEW);
     }
 
     #[test]
@@ -350,11 +381,7 @@ mod tests {
                 assert!(within.contains(&pause), "{pause} ms, not {within:?}");
             }
             let named = Duration::from_secs(900);
-            let refused = Failure::Refused {
-                at_least: named,
-                why: "busy".to_owned(),
-            };
-            assert_eq!(bench.pause_after(refused), named);
+            assert_eq!(bench.pause_after(refused("busy", named)), named);
             assert!(bench.schedule.next_pull(bench.at(0)));
             bench.schedule.pull_ended(&DONE, bench.at(0));
             assert!(!bench.schedule.next_pull(bench.at(3_600_000)));
@@ -365,15 +392,15 @@ mod tests {
     #[test]
     fn reports_that_a_hub_lost_are_resent_at_a_limited_rate() {
         let mut bench = Bench::new();
-        assert_eq!(bench.batch(1, 0), Some(false));
+        assert_eq!(bench.batch(1, 0), NEW);
         bench.ended(DONE, 0);
-        assert_eq!(bench.batch_of(0, 900, 1000), Some(true));
+        assert_eq!(bench.batch_of(0, 900, 1000), NEW_AND_FORGOTTEN);
         bench.ended(DONE, 1100);
         assert_eq!(bench.batch_of(0, 500, 1200), None);
         // Reports that no hub has do not wait for that.
-        assert_eq!(bench.batch_of(GATHERED, 500, 1300), Some(false));
+        assert_eq!(bench.batch_of(GATHERED, 500, 1300), NEW);
         bench.ended(DONE, 1400);
-        assert_eq!(bench.batch_of(0, 500, 11_000), Some(true));
+        assert_eq!(bench.batch_of(0, 500, 11_000), NEW_AND_FORGOTTEN);
     }
 
     #[test]
@@ -382,7 +409,7 @@ mod tests {
         let minute = Duration::from_secs(60);
         assert_eq!(bench.batch(0, 500_000), None);
         assert!(!bench.schedule.is_stale(minute, bench.at(500_000)));
-        assert_eq!(bench.batch(1, 501_000), Some(false));
+        assert_eq!(bench.batch(1, 501_000), NEW);
         bench.ended(UNANSWERED, 511_000);
         assert!(!bench.schedule.is_stale(minute, bench.at(559_000)));
         assert!(bench.schedule.is_stale(minute, bench.at(561_000)));
@@ -398,35 +425,34 @@ mod tests {
         let trouble =
             |bench: &Bench, connected, ms| bench.schedule.trouble(connected, bench.at(ms));
         assert_eq!(bench.batch(0, 0), None);
-        assert_eq!(trouble(&bench, false, 3_600_000), None, "nothing waits");
+        assert_eq!(trouble(&bench, NO_HUB, 3_600_000), None, "nothing waits");
         // No hub: there is no attempt.
         let mut counts = OutboxCounts::default();
         let now = bench.at(10_000);
         counts.status.waiting = GATHERED;
-        assert_eq!(bench.schedule.next_batch(&counts, false, false, now), None);
-        assert_eq!(trouble(&bench, false, 39_999), None);
-        assert_eq!(trouble(&bench, false, 40_000), Some(Trouble::NoHub));
+        let no_hub = HubPresence {
+            is_connected: NO_HUB,
+            watches: false,
+        };
+        assert_eq!(bench.schedule.next_batch(&counts, no_hub, now), None);
+        assert_eq!(trouble(&bench, NO_HUB, 39_999), None);
+        assert_eq!(trouble(&bench, NO_HUB, 40_000), Some(Trouble::NoHub));
         assert!(
             !bench.schedule.is_stale(Duration::from_secs(1), now),
             "nobody to answer"
         );
         // A hub that does not answer, and one that refuses.
-        assert_eq!(bench.batch(GATHERED, 41_000), Some(false));
+        assert_eq!(bench.batch(GATHERED, 41_000), NEW);
         bench.ended(UNANSWERED, 51_000);
-        assert_eq!(trouble(&bench, true, 51_000), Some(Trouble::Unanswered));
-        let why = "unavailable: the disk is full".to_owned();
-        let at_least = Duration::ZERO;
-        bench.ended(
-            Err(Failure::Refused {
-                at_least,
-                why: why.clone(),
-            }),
-            60_000,
-        );
+        let unanswered = Some(Trouble::Unanswered);
+        assert_eq!(trouble(&bench, CONNECTED, 51_000), unanswered);
+        let why = "unavailable: the disk is full";
+        bench.ended(Err(refused(why, Duration::ZERO)), 60_000);
         bench.schedule.begin(bench.at(61_000));
-        assert_eq!(trouble(&bench, true, 61_000), Some(Trouble::Refused(why)));
+        let is_refused = Some(Trouble::Refused(why.to_owned()));
+        assert_eq!(trouble(&bench, CONNECTED, 61_000), is_refused);
         bench.ended(DONE, 70_000);
-        assert_eq!(trouble(&bench, true, 3_600_000), None);
+        assert_eq!(trouble(&bench, CONNECTED, 3_600_000), None);
     }
 
     #[test]
@@ -437,16 +463,15 @@ mod tests {
         };
         let mut bench = Bench::new();
         bench.schedule = Schedule::new(&config, 7, bench.start);
-        assert_eq!(bench.batch(1, 0), Some(false));
+        assert_eq!(bench.batch(1, 0), NEW);
         bench.ended(UNANSWERED, 10_000);
-        for connected in [false, true] {
+        for connected in [NO_HUB, CONNECTED] {
             let at = |seconds: u64| bench.schedule.trouble(connected, bench.at(seconds * 1000));
             assert_eq!(at(12 * 3600 - 1), None);
             assert!(at(12 * 3600).is_some());
         }
-        let at_least = Duration::ZERO;
-        let why = "busy".to_owned();
-        bench.ended(Err(Failure::Refused { at_least, why }), 31_000);
-        assert!(bench.schedule.trouble(true, bench.at(31_000)).is_some());
+        bench.ended(Err(refused("busy", Duration::ZERO)), 31_000);
+        let trouble = bench.schedule.trouble(CONNECTED, bench.at(31_000));
+        assert!(trouble.is_some());
     }
 }

@@ -15,9 +15,11 @@ use std::time::{Duration, Instant};
 /// A camera without a frame for this long is stale.
 const STALE: Duration = Duration::from_secs(10);
 
-/// Seconds between two heartbeats, and the most to which a hub may lengthen them.
+/// Seconds between two heartbeats.
 const HEARTBEAT_S: u32 = 30;
-const LONGEST_S: u32 = 600;
+
+/// The most seconds between two heartbeats that a hub may ask for.
+const LONGEST_HEARTBEAT_S: u32 = 600;
 
 /// The shortest time between two messages, even if more changes in between.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
@@ -57,7 +59,7 @@ impl StatusSender {
     /// Follows an answer of the hub.
     pub(in crate::delivery) fn follow(&mut self, desired: &Desired) {
         let wanted_s = desired.heartbeat_s.unwrap_or(HEARTBEAT_S);
-        self.heartbeat_s = wanted_s.clamp(HEARTBEAT_S, LONGEST_S);
+        self.heartbeat_s = wanted_s.clamp(HEARTBEAT_S, LONGEST_HEARTBEAT_S);
         if desired.send_full_status {
             self.full_is_due();
         }

@@ -63,45 +63,54 @@ impl Watched {
             self.pictures.clear();
             return Ok(());
         }
+        if self.pictures.is_empty() {
+            self.declare_pictures(session, setup).await?;
+        }
         let is_early = self.counted_at.is_some_and(|at| now.duration_since(at) < PERIOD);
         // The local session publishes counters anyway.
-        let counts = setup.local.is_none() && !is_early;
-        let declares = self.pictures.is_empty();
+        if setup.local.is_some() || is_early {
+            return Ok(());
+        }
+        for camera in &setup.board.cameras {
+            let message = setup.board.counters(camera, unix_nanoseconds());
+            session
+                .put(camera.keys.counters(), serde_json::to_vec(&message)?)
+                .congestion_control(CongestionControl::Drop)
+                .priority(crate::publishing::COUNTERS)
+                .await?;
+        }
+        self.counted_at = Some(now);
+        Ok(())
+    }
+
+    /// Declares the pictures of all cameras.
+    async fn declare_pictures(
+        &mut self,
+        session: &Session,
+        setup: &Arc<UplinkSetup>,
+    ) -> zenoh::Result<()> {
         let places = Arc::new(Semaphore::new(MOST_PICTURES));
         for camera in &setup.board.cameras {
-            let keys = &camera.keys;
-            if declares {
-                let places = Arc::clone(&places);
-                let runtime = Handle::current();
-                let setup = Arc::clone(setup);
-                let camera = Arc::clone(camera);
-                let queryable = session
-                    .declare_queryable(keys.picture())
-                    .callback(move |query| {
-                        // Zenoh's thread must not encode a picture; excess queries end unanswered.
-                        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
-                            let setup = Arc::clone(&setup);
-                            let camera = Arc::clone(&camera);
-                            runtime.spawn_blocking(move || {
-                                answer(&camera, &query, &setup);
-                                drop(place);
-                            });
-                        }
-                    })
-                    .await?;
-                self.pictures.push(queryable);
-            }
-            if counts {
-                let message = setup.board.counters(camera, unix_nanoseconds());
-                session
-                    .put(keys.counters(), serde_json::to_vec(&message)?)
-                    .congestion_control(CongestionControl::Drop)
-                    .priority(crate::publishing::COUNTERS)
-                    .await?;
-            }
-        }
-        if counts {
-            self.counted_at = Some(now);
+            let key = camera.keys.picture();
+            let places = Arc::clone(&places);
+            let runtime = Handle::current();
+            let setup = Arc::clone(setup);
+            let camera = Arc::clone(camera);
+            let answer_query = move |query: Query| {
+                // Excess queries end unanswered.
+                let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+                    return;
+                };
+                let setup = Arc::clone(&setup);
+                let camera = Arc::clone(&camera);
+                // Zenoh's thread must not encode a picture.
+                runtime.spawn_blocking(move || {
+                    answer(&camera, &query, &setup);
+                    drop(place);
+                });
+            };
+            let queryable = session.declare_queryable(key).callback(answer_query).await?;
+            self.pictures.push(queryable);
         }
         Ok(())
     }

@@ -17,6 +17,7 @@ struct Killed {
     reports: BTreeMap<Uuid, ClipReport>,
 }
 
+/// A temporary folder, in memory where the machine has such a folder.
 fn folder() -> tempfile::TempDir {
     let in_memory = tempfile::tempdir_in("/dev/shm");
     in_memory.or_else(|_| tempfile::tempdir()).unwrap()
@@ -29,8 +30,8 @@ impl Killed {
         keep(&outbox, 0..REPORTS);
         let settings = SettingsFile::open(Some(&bench.state()));
         settings.edit(|kept| kept.set(SETTING, &9e-4));
-        let files = [FILE, "node.db-wal", WITNESS, "settings.json"];
-        let files = files.map(|name| (name, std::fs::read(bench.state().join(name)).unwrap()));
+        let names = [FILE, "node.db-wal", WITNESS, "settings.json"];
+        let files = names.map(|name| (name, std::fs::read(bench.state().join(name)).unwrap()));
         assert!(files.iter().all(|(_, bytes)| bytes.len() > 20));
         let mut reports = BTreeMap::new();
         while let Some(sent) = batch(&outbox) {

@@ -168,19 +168,21 @@ impl Hub {
     }
 
     pub(super) fn command(&self, which: u64, command: Command, now: Now) {
-        let many = self.last("rollout");
-        if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
+        self.command_one_of("rollout", which, command, now);
+    }
+
+    /// Gives a command to one of the runs of a kind, if there is one.
+    fn command_one_of(&self, kind: &str, which: u64, command: Command, now: Now) {
+        let Some(hub) = &self.running else { return };
+        let many = self.last(kind);
+        if many > 0 {
             let id = (which % many).cast_signed() + 1;
-            self.work(hub.tuner.command("rollout", id, command, "ops", now.unix_ms));
+            self.work(hub.tuner.command(kind, id, command, "ops", now.unix_ms));
         }
     }
 
     pub(super) fn end_trial(&self, which: u64, now: Now) {
-        let many = self.last("trial");
-        if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
-            let id = (which % many).cast_signed() + 1;
-            self.work(hub.tuner.command("trial", id, Command::Return, "ops", now.unix_ms));
-        }
+        self.command_one_of("trial", which, Command::Return, now);
     }
 
     /// The number of the last rollout or trial.
@@ -194,10 +196,10 @@ impl Hub {
     }
 
     /// The database as a power cut may leave it: as at `before` or after a commit since; `None` if it was checkpointed.
-    pub(super) fn image_at_a_commit(&self, (file, log): Image, cut: u64) -> Option<Image> {
-        let begin = log.len();
-        let (now, mut log) = self.file.read();
-        if file != now || begin < 32 || log.len() < begin {
+    pub(super) fn image_at_a_commit(&self, before: Image, cut: u64) -> Option<Image> {
+        let begin = before.log.len();
+        let Image { file, mut log } = self.file.read();
+        if before.file != file || begin < 32 || log.len() < begin {
             return None;
         }
         // The write-ahead log (sqlite.org/fileformat2.html#walformat) begins with 32 bytes, in which the third word is the size of a
@@ -205,11 +207,15 @@ impl Hub {
         // is the size of the database: behind such a frame the log may end as if the power was cut there.
         let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
         let frame = 24 + word(8) as usize;
-        let commits = (32..log.len()).step_by(frame).filter(|at| *at >= begin && word(at + 4) != 0);
-        let mut ends: Vec<usize> = commits.map(|at| at + frame).collect();
-        ends.insert(0, begin);
+        let mut ends = vec![begin];
+        for at in (32..log.len()).step_by(frame) {
+            let is_commit = word(at + 4) != 0;
+            if at >= begin && is_commit {
+                ends.push(at + frame);
+            }
+        }
         log.truncate(ends[cut as usize % ends.len()]);
-        Some((file, log))
+        Some(Image { file, log })
     }
 
     pub(super) fn desired(&self, node: &str) -> Option<Desired> {
@@ -238,11 +244,13 @@ impl Hub {
         let mut select = self.file.other.prepare(text).unwrap();
         let mut rows = select.query([]).unwrap();
         while let Some(row) = rows.next().unwrap() {
-            let (name, state): (String, String) = (row.get(0).unwrap(), row.get(1).unwrap());
+            let name: String = row.get(0).unwrap();
+            let state: String = row.get(1).unwrap();
+            let is_running: bool = row.get(2).unwrap();
             let run: Run = serde_json::from_str(&state).unwrap();
-            let it_is = format!("{name} is {}", run.phase.name());
-            if row.get(2).unwrap() {
-                wrong.push(it_is.clone());
+            let phase = format!("{name} is {}", run.phase.name());
+            if is_running {
+                wrong.push(phase.clone());
             }
             for member in &run.members {
                 let value = match (&run.kind, run.phase) {
@@ -260,7 +268,7 @@ impl Hub {
                 let is_last = member.given.revision > 0 && desired.origin == name;
                 if is_last && desired.setting != DesiredSetting::Threshold(value) {
                     let node = &member.node;
-                    wrong.push(format!("{it_is}, but for {node} {desired:?} is desired"));
+                    wrong.push(format!("{phase}, but for {node} {desired:?} is desired"));
                 }
             }
         }

@@ -17,6 +17,21 @@ struct Started {
     asked: Option<u64>,
 }
 
+/// What a node sends next.
+pub(super) struct NextStep {
+    /// The status, if it is due.
+    pub(super) status: Option<Vec<u8>>,
+    /// True if it asks for the desired setting.
+    pub(super) pulls: bool,
+}
+
+/// A setting that a node accepted.
+#[derive(Debug)]
+pub(super) struct Taken {
+    pub(super) revision: u64,
+    pub(super) setting: DesiredSetting,
+}
+
 pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
@@ -77,8 +92,8 @@ impl Node {
         }
     }
 
-    /// What to send: the status if due, and whether to ask for the settings with request number `question`.
-    pub(super) fn poll(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
+    /// What the node sends next; `None` while it is off. `question` is the number of its request for the setting.
+    pub(super) fn poll(&mut self, question: u64, now: Now) -> Option<NextStep> {
         let node = self.started.as_mut()?;
         let PreparedNode {
             board,
@@ -91,7 +106,7 @@ impl Node {
         if pulls {
             node.asked = Some(question);
         }
-        Some((status, pulls))
+        Some(NextStep { status, pulls })
     }
 
     pub(super) fn notice(&mut self) {
@@ -100,13 +115,13 @@ impl Node {
         }
     }
 
-    /// Receives the answer to a request, or `None` after the timeout; returns the accepted setting and its revision.
+    /// Receives the answer to a request, or `None` after the timeout; returns the setting if it is accepted.
     pub(super) fn conclude(
         &mut self,
         question: u64,
         answer: Option<&[u8]>,
         now: Now,
-    ) -> Option<(u64, DesiredSetting)> {
+    ) -> Option<Taken> {
         let node = self.started.as_mut()?;
         node.asked.take_if(|asked| *asked == question)?;
         let answer = answer.ok_or(Failure::Unanswered);
@@ -118,7 +133,10 @@ impl Node {
             return None;
         }
         node.statuses.full_is_due();
-        Some((desired.revision, desired.setting?))
+        Some(Taken {
+            revision: desired.revision,
+            setting: desired.setting?,
+        })
     }
 
     pub(super) fn set_by_hand(&self, value: f64) {
@@ -148,16 +166,17 @@ impl Node {
     /// True if it refused the setting, or somebody set the threshold at the node since.
     pub(super) fn deviates(&self, setting: DesiredSetting) -> bool {
         let node = self.started.as_ref().unwrap();
-        let known = known(&node.parts.settings);
-        let is_refused = known.refused.is_some();
-        let mut sources = node.parts.board.cameras.iter().map(|one| one.threshold_source());
-        is_refused
-            || match setting {
-                DesiredSetting::Threshold(_) => sources.any(|one| one == SettingSource::Local),
-                DesiredSetting::Target(_) => {
-                    node.parts.board.target.report().source == SettingSource::Local
-                }
+        if known(&node.parts.settings).refused.is_some() {
+            return true;
+        }
+        let board = &node.parts.board;
+        match setting {
+            DesiredSetting::Threshold(_) => {
+                let mut sources = board.cameras.iter().map(|camera| camera.threshold_source());
+                sources.any(|source| source == SettingSource::Local)
             }
+            DesiredSetting::Target(_) => board.target.report().source == SettingSource::Local,
+        }
     }
 
     pub(super) fn shown(&self) -> String {
