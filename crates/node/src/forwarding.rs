@@ -14,6 +14,7 @@ pub(crate) use hook::Hook;
 pub(crate) use mqtt::{Mqtt, MqttSetup};
 pub(crate) use record::record_sightings;
 
-/// The first and the longest pause between attempts to reach a hook or a broker, milliseconds.
+/// The first pause between attempts to reach a hook or a broker, milliseconds.
 const FIRST_PAUSE_MS: u64 = 1000;
+/// The longest of these pauses, milliseconds.
 const LONGEST_PAUSE_MS: u64 = 60_000;

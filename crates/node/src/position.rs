@@ -23,8 +23,9 @@ const FRESH: Duration = Duration::from_secs(10);
 const SILENT: Duration = Duration::from_secs(30);
 /// For how long a position that could not be used is a fault.
 const REFUSED_FOR: Duration = Duration::from_secs(60);
-/// A sender may have made it long, bytes.
+/// The most bytes of a reason that are kept: a sender may have made it long.
 const LONGEST_REASON: usize = 200;
+/// The time between two log lines about positions.
 const LOG_PERIOD: Duration = Duration::from_secs(60);
 
 /// The newest position, and what became of the others.
@@ -34,9 +35,23 @@ pub(crate) struct Positions {
     known: Mutex<Known>,
 }
 
+/// A position of the receiver.
+#[derive(Clone, Copy, Debug)]
+struct ReceivedPosition {
+    position: Position,
+    at: Instant,
+}
+
+/// Why a position could not be used.
+#[derive(Debug)]
+struct RefusedPosition {
+    reason: String,
+    at: Instant,
+}
+
 #[derive(Debug)]
 struct Known {
-    newest: Option<(Position, Instant)>,
+    newest: Option<ReceivedPosition>,
     /// What the receiver does instead of giving a position, in words; empty after a position.
     words: String,
     /// The last time at which the receiver answered readably.
@@ -45,7 +60,7 @@ struct Known {
     of_frames: u64,
     refused: u64,
     ignored: u64,
-    last_refused: Option<(String, Instant)>,
+    last_refused: Option<RefusedPosition>,
     log_limit: RateLimit,
 }
 
@@ -122,11 +137,12 @@ impl Positions {
 
     /// Takes a position of the receiver.
     fn found(&self, position: Position) {
+        let at = Instant::now();
         let mut known = self.known.lock();
         known.received += 1;
-        known.heard = Instant::now();
+        known.heard = at;
         known.words.clear();
-        known.newest = Some((position, known.heard));
+        known.newest = Some(ReceivedPosition { position, at });
     }
 
     /// Notes that the receiver works and has no position.
@@ -167,7 +183,7 @@ impl Positions {
             of_frames: known.of_frames,
             refused: known.refused,
             ignored: known.ignored,
-            last_refused: known.last_refused.as_ref().map(|(reason, _)| reason.clone()),
+            last_refused: known.last_refused.as_ref().map(|refused| refused.reason.clone()),
         }
     }
 
@@ -176,15 +192,18 @@ impl Positions {
         let known = self.known.lock();
         if self.source.is_receiver() && known.heard.elapsed() >= SILENT {
             let source = &self.source;
-            return Some(match known.words() {
-                words if words.is_empty() => format!("{source} has not answered yet"),
-                words => format!("{source} gives no position: {words}"),
+            let words = known.words();
+            return Some(if words.is_empty() {
+                format!("{source} has not answered yet")
+            } else {
+                format!("{source} gives no position: {words}")
             });
         }
-        let (reason, at) = known.last_refused.as_ref()?;
-        if at.elapsed() >= REFUSED_FOR {
+        let last = known.last_refused.as_ref()?;
+        if last.at.elapsed() >= REFUSED_FOR {
             return None;
         }
+        let reason = &last.reason;
         let refused = known.refused;
         Some(format!("{reason} ({refused} since the start)"))
     }
@@ -192,19 +211,22 @@ impl Positions {
 
 impl Known {
     fn fresh(&self) -> Option<Position> {
-        let (position, at) = self.newest?;
-        (at.elapsed() < FRESH).then_some(position)
+        let newest = self.newest?;
+        (newest.at.elapsed() < FRESH).then_some(newest.position)
     }
 
     fn words(&self) -> String {
-        match self.newest {
-            Some((_, at)) if self.words.is_empty() && at.elapsed() < FRESH => {
-                "it gives positions".to_owned()
-            }
-            Some((_, at)) if self.words.is_empty() => {
-                format!("its last position is {} s old", at.elapsed().as_secs())
-            }
-            _ => self.words.clone(),
+        let Some(newest) = self.newest else {
+            return self.words.clone();
+        };
+        if !self.words.is_empty() {
+            return self.words.clone();
+        }
+        let age = newest.at.elapsed();
+        if age < FRESH {
+            "it gives positions".to_owned()
+        } else {
+            format!("its last position is {} s old", age.as_secs())
         }
     }
 
@@ -214,7 +236,10 @@ impl Known {
         self.log_limit.log(|held_back| {
             tracing::warn!(held_back, "position not used: {reason}");
         });
-        self.last_refused = Some((reason, Instant::now()));
+        self.last_refused = Some(RefusedPosition {
+            reason,
+            at: Instant::now(),
+        });
     }
 }
 

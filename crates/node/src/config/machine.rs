@@ -95,10 +95,11 @@ impl NodeConfig {
         }
         if self.zenoh.config_file.is_none() {
             for endpoint in &self.zenoh.listen {
-                let Some(address) = endpoint.strip_prefix("tcp/") else {
+                let Some(place) = endpoint.strip_prefix("tcp/") else {
                     continue;
                 };
-                let address = address.split(['?', '#']).next().unwrap_or(address);
+                // Zenoh's options of an endpoint follow these signs.
+                let address = place.split(['?', '#']).next().unwrap_or(place);
                 let bound = TcpListener::bind(address).map_err(|error| used(endpoint, error));
                 findings.check("zenoh.listen", bound);
             }

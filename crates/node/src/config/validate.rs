@@ -118,12 +118,27 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         self.log.check(&mut findings);
         let policy = self.check_policy(&mut findings);
         self.check_pause(policy.as_deref(), &mut findings);
-        let spec = policy.as_ref().map(|policy| policy.threshold_spec());
+        let valid = policy.as_ref().map(|policy| ValidPolicy {
+            threshold: policy.threshold_spec(),
+        });
         self.check_answers(policy, &mut findings);
-        self.check_target(spec, &mut findings);
-        self.check_cameras(spec, &mut findings);
+        self.check_target(valid.as_ref(), &mut findings);
+        self.check_cameras(valid.as_ref(), &mut findings);
         findings.0
     }
+}
+
+/// A policy that can be built.
+struct ValidPolicy {
+    /// Its threshold, if it has one.
+    threshold: Option<ThresholdSpec>,
+}
+
+/// Who puts messages on a key.
+enum KeyOwner<'a> {
+    Node,
+    /// The camera of this name.
+    Camera(&'a str),
 }
 
 impl NodeConfig {
@@ -237,8 +252,8 @@ impl NodeConfig {
         }
     }
 
-    /// Checks the target. `spec` is the policy's threshold, if it has one; `None` if the policy itself is invalid.
-    fn check_target(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
+    /// Checks the target; without a policy, only what does not depend on it.
+    fn check_target(&self, policy: Option<&ValidPolicy>, findings: &mut Findings) {
         let target = self.target.hold;
         findings.check("target.hold", target.map(Target::check).transpose());
         if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
@@ -246,16 +261,18 @@ impl NodeConfig {
         }
         let least = self.target.least;
         let most = self.target.most;
-        if let Some(spec) = spec
-            && (target.is_some() || least.is_some() || most.is_some())
+        let is_set = target.is_some() || least.is_some() || most.is_some();
+        if let Some(policy) = policy
+            && is_set
         {
-            let range = ThresholdRange::of(&self.policy.name, spec.as_ref(), least, most);
+            let threshold = policy.threshold.as_ref();
+            let range = ThresholdRange::of(&self.policy.name, threshold, least, most);
             findings.check("target", range);
         }
     }
 
-    /// Checks the cameras; for `spec` see [`Self::check_target`].
-    fn check_cameras(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
+    /// Checks the cameras; without a policy, only what does not depend on it.
+    fn check_cameras(&self, policy: Option<&ValidPolicy>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
         }
@@ -263,8 +280,8 @@ impl NodeConfig {
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
-            if let (Some(threshold), Some(spec)) = (camera.threshold, spec) {
-                match spec {
+            if let (Some(threshold), Some(policy)) = (camera.threshold, policy) {
+                match policy.threshold {
                     Some(spec) => {
                         findings.check(key("threshold"), spec.check(threshold));
                     }
@@ -287,30 +304,32 @@ impl NodeConfig {
     /// Checks keys: cameras must not share one, and none may be a key that the node itself writes.
     fn check_keys(&self, findings: &mut Findings) {
         let Ok(node) = self.keys() else { return };
-        // The camera of each key; `None` for the node itself.
-        let mut owners = HashMap::from([(node.target(), None), (node.screen(), None)]);
+        let mut written = vec![node.target(), node.screen()];
         for camera in &self.cameras {
             let Ok(keys) = node.camera(&camera.name) else {
                 continue;
             };
-            owners.extend([
-                (keys.detections(), None),
-                (keys.late(), None),
-                (keys.settled(), None),
-                (keys.clip(), None),
-                (keys.counters(), None),
-                (keys.threshold(), None),
+            written.extend([
+                keys.detections(),
+                keys.late(),
+                keys.settled(),
+                keys.clip(),
+                keys.counters(),
+                keys.threshold(),
             ]);
         }
+        let written_by_node = written.into_iter().map(|key| (key, KeyOwner::Node));
+        let mut owners: HashMap<String, KeyOwner<'_>> = written_by_node.collect();
         for (index, camera) in self.cameras.iter().enumerate() {
             for key in self.frame_keys(camera).unwrap_or_default() {
-                let reason = match owners.insert(key.clone(), Some(&camera.name)) {
-                    Some(None) => format!("`{key}` {WRITTEN}"),
-                    Some(Some(other)) if *other != camera.name => format!(
+                let owner = KeyOwner::Camera(&camera.name);
+                let reason = match owners.insert(key.clone(), owner) {
+                    Some(KeyOwner::Node) => format!("`{key}` {WRITTEN}"),
+                    Some(KeyOwner::Camera(other)) if other != camera.name => format!(
                         "`{key}` is the key of camera `{other}` too; each camera needs its own"
                     ),
                     // Cameras with the same name are already reported.
-                    _ => continue,
+                    Some(KeyOwner::Camera(_)) | None => continue,
                 };
                 let name = if camera.topic.is_some() {
                     "topic"

@@ -41,13 +41,12 @@ impl Connector {
 
     /// Opens a connection. The error says in words what to do.
     pub(super) async fn open(&self) -> io::Result<Box<dyn Connection>> {
-        let opened = timeout(CONNECTED_WITHIN, self.open_slowly()).await;
-        opened.unwrap_or_else(|_| {
-            let seconds = CONNECTED_WITHIN.as_secs();
-            Err(io::Error::other(format!(
-                "did not answer within {seconds} s"
-            )))
-        })
+        if let Ok(opened) = timeout(CONNECTED_WITHIN, self.open_slowly()).await {
+            return opened;
+        }
+        let seconds = CONNECTED_WITHIN.as_secs();
+        let reason = format!("did not answer within {seconds} s");
+        Err(io::Error::other(reason))
     }
 
     async fn open_slowly(&self) -> io::Result<Box<dyn Connection>> {

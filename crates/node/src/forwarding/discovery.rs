@@ -41,6 +41,12 @@ pub(super) fn named(classes: &[String]) -> Vec<NamedClass> {
     named
 }
 
+/// A message by which Home Assistant discovers a device.
+pub(super) struct DiscoveryMessage {
+    pub topic: String,
+    pub payload: String,
+}
+
 /// The node in discovery messages.
 #[derive(Clone, Debug)]
 pub(super) struct Described {
@@ -86,8 +92,8 @@ impl Described {
         shared
     }
 
-    /// The message about the node, as topic and payload: its power, which is `measured`, `partial` or `estimated`.
-    pub(super) fn node(&self, power: Option<&str>) -> (String, String) {
+    /// The message about the node: its power, which is `measured`, `partial` or `estimated`.
+    pub(super) fn node(&self, power: Option<&str>) -> DiscoveryMessage {
         let Self { base, id, node, .. } = self;
         let mut message = self.device(id, node, &[format!("{base}/availability")]);
         let mut components = Map::new();
@@ -109,12 +115,14 @@ impl Described {
         });
         components.insert("problem".to_owned(), problem);
         message.insert("components".to_owned(), components.into());
-        (self.topic(id), Value::from(message).to_string())
+        DiscoveryMessage {
+            topic: self.topic(id),
+            payload: Value::from(message).to_string(),
+        }
     }
 
-    /// The message about a camera, as topic and payload: for each class whether it is there and how many boxes it has, and
-    /// the detector's calls.
-    pub(super) fn camera(&self, camera: &str, classes: &[NamedClass]) -> (String, String) {
+    /// The message about a camera: for each class whether it is there and how many boxes it has, and the detector's calls.
+    pub(super) fn camera(&self, camera: &str, classes: &[NamedClass]) -> DiscoveryMessage {
         let Self { base, node, .. } = self;
         let id = format!("{}_{}", self.id, id_of(camera));
         let topics = [
@@ -153,7 +161,10 @@ impl Described {
         components.insert("albireo_detector_calls".to_owned(), calls);
         components.insert("albireo_detector_skipped".to_owned(), skipped);
         message.insert("components".to_owned(), components.into());
-        (self.topic(&id), Value::from(message).to_string())
+        DiscoveryMessage {
+            topic: self.topic(&id),
+            payload: Value::from(message).to_string(),
+        }
     }
 }
 
@@ -198,14 +209,11 @@ mod tests {
     }
 
     /// Holds a message against the schema; returns the ids of its entities.
-    fn check((topic, payload): (String, String)) -> Vec<String> {
-        let id = topic
-            .strip_prefix("homeassistant/device/")
-            .unwrap()
-            .strip_suffix("/config")
-            .unwrap();
+    fn check(discovery: &DiscoveryMessage) -> Vec<String> {
+        let topic = discovery.topic.strip_prefix("homeassistant/device/").unwrap();
+        let id = topic.strip_suffix("/config").unwrap();
         assert_eq!(id, id_of(id), "{topic}");
-        let message: Value = serde_json::from_str(&payload).unwrap();
+        let message: Value = serde_json::from_str(&discovery.payload).unwrap();
         holds(&message, MESSAGE);
         holds(&message["device"], DEVICE);
         assert_eq!(message["device"]["identifiers"][0], *id);
@@ -237,10 +245,10 @@ mod tests {
             ids.collect::<Vec<_>>(),
             ["car", "traffic_light", "traffic_light_"]
         );
-        let mut entities = check(described.node(Some("estimated")));
-        entities.extend(check(described.node(Some("measured"))));
-        entities.extend(check(described.camera("front", &classes)));
-        entities.extend(check(described.camera("rear.2", &classes)));
+        let mut entities = check(&described.node(Some("estimated")));
+        entities.extend(check(&described.node(Some("measured"))));
+        entities.extend(check(&described.camera("front", &classes)));
+        entities.extend(check(&described.camera("rear.2", &classes)));
         assert_eq!(entities.len(), 2 + 2 + 8 + 8);
         let problem = described.id.clone() + "_problem";
         entities.retain(|id| *id != problem);
@@ -251,8 +259,8 @@ mod tests {
     #[test]
     fn a_model_of_a_thousand_classes_gets_a_bounded_message() {
         let classes: Vec<_> = (0..1000).map(|number| format!("class {number}")).collect();
-        let (_, payload) = described().camera("front", &named(&classes));
-        assert!(payload.len() < 20_000, "{}", payload.len());
+        let bytes = described().camera("front", &named(&classes)).payload.len();
+        assert!(bytes < 20_000, "{bytes}");
         assert_eq!(named(&classes).len(), MOST_CLASSES);
     }
 }

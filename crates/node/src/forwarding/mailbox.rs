@@ -56,9 +56,9 @@ impl Mailbox {
             payload,
             is_retained: false,
         });
-        let over = self.events.len().saturating_sub(MOST_EVENTS);
-        self.events.drain(..over);
-        over as u64
+        let too_many = self.events.len().saturating_sub(MOST_EVENTS);
+        self.events.drain(..too_many);
+        too_many as u64
     }
 
     /// The next message to give to the connection, states first; `None` while too many are unacknowledged.
@@ -95,19 +95,20 @@ impl Mailbox {
     }
 
     /// The connection is lost: what was not acknowledged is sent again, and all states, which a broker may have forgotten.
+    /// Returns how many events were given up.
     pub(super) fn disconnected(&mut self) -> u64 {
         let sent = take(&mut self.sent).into_values();
         let unacknowledged = sent.chain(take(&mut self.given));
         let mut events: VecDeque<_> =
             unacknowledged.filter(|message| !message.is_retained).collect();
         events.append(&mut self.events);
-        let over = events.len().saturating_sub(MOST_EVENTS);
-        events.drain(..over);
+        let too_many = events.len().saturating_sub(MOST_EVENTS);
+        events.drain(..too_many);
         self.events = events;
         for state in self.states.values_mut() {
             state.is_new = true;
         }
-        over as u64
+        too_many as u64
     }
 
     /// The number of events that wait.
@@ -152,7 +153,9 @@ mod tests {
     #[test]
     fn no_more_than_a_window_is_unacknowledged() {
         let mut mailbox = Mailbox::default();
-        (0..2 * WINDOW).for_each(|number| assert_eq!(told(&mut mailbox, number), 0));
+        for number in 0..2 * WINDOW {
+            assert_eq!(told(&mut mailbox, number), 0);
+        }
         assert_eq!(given(&mut mailbox).len(), WINDOW);
         mailbox.numbered(7);
         assert_eq!(given(&mut mailbox), [""; 0]);
@@ -164,9 +167,13 @@ mod tests {
     fn after_a_lost_connection_events_without_an_answer_come_first_and_in_order() {
         let mut mailbox = Mailbox::default();
         mailbox.set("car".to_owned(), "ON".to_owned());
-        (0..4).for_each(|number| assert_eq!(told(&mut mailbox, number), 0));
+        for number in 0..4 {
+            assert_eq!(told(&mut mailbox, number), 0);
+        }
         assert_eq!(given(&mut mailbox), ["ON", "0", "1", "2", "3"]);
-        (1..=3).for_each(|number| mailbox.numbered(number));
+        for number in 1..=3 {
+            mailbox.numbered(number);
+        }
         assert!(mailbox.acknowledged(2), "event 0");
         told(&mut mailbox, 4);
         assert_eq!(mailbox.disconnected(), 0);

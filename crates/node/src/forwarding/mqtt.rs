@@ -3,7 +3,7 @@
 use super::address::Endpoint;
 use super::config::MqttConfig;
 use super::connection::Connector;
-use super::discovery::{Described, MOST_CLASSES, NamedClass, id_of, named};
+use super::discovery::{Described, DiscoveryMessage, MOST_CLASSES, NamedClass, id_of, named};
 use super::mailbox::{Mailbox, WINDOW};
 use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
@@ -178,12 +178,9 @@ impl Mqtt {
             &self.place,
             &self.described.id,
         )?;
-        options.set_last_will(LastWill::new(
-            will.as_str(),
-            OFFLINE,
-            QoS::AtLeastOnce,
-            true,
-        ));
+        let is_retained = true;
+        let last_will = LastWill::new(will.as_str(), OFFLINE, QoS::AtLeastOnce, is_retained);
+        options.set_last_will(last_will);
         let (client, mut heard, _driver) = connect(options)?;
         let mut is_connected = false;
         loop {
@@ -271,7 +268,7 @@ impl Mqtt {
         };
         let describes = !self.described.discovery.is_empty();
         if describes {
-            let (topic, payload) = self.described.node(quality);
+            let DiscoveryMessage { topic, payload } = self.described.node(quality);
             self.mailbox.set(topic, payload);
         }
         let shows_figures = self.round.is_multiple_of(ROUNDS_PER_FIGURES);
@@ -290,8 +287,8 @@ impl Mqtt {
         }
         for camera in &board.cameras {
             if describes {
-                let (topic, payload) = self.described.camera(camera.name(), &self.classes);
-                self.mailbox.set(topic, payload);
+                let described = self.described.camera(camera.name(), &self.classes);
+                self.mailbox.set(described.topic, described.payload);
             }
             self.publish_camera(camera, shows_figures);
         }

@@ -70,13 +70,11 @@ impl TryFrom<String> for PositionSource {
 
     fn try_from(text: String) -> Result<Self, String> {
         if let Some(place) = text.strip_prefix("gpsd://") {
-            let place = place.trim_end_matches('/');
+            let mut place = place.trim_end_matches('/').to_owned();
             let has_port = !place.ends_with(']') && place.contains(':');
-            let place = if has_port {
-                place.to_owned()
-            } else {
-                format!("{place}:{GPSD_PORT}")
-            };
+            if !has_port {
+                place = format!("{place}:{GPSD_PORT}");
+            }
             return address(&text, place).map(Self::Gpsd);
         }
         if let Some(place) = text.strip_prefix("tcp://") {
@@ -100,9 +98,10 @@ fn address(text: &str, place: String) -> Result<String, String> {
     let is_address = parts.is_some_and(|(host, port)| {
         !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0)
     });
-    is_address
-        .then_some(place)
-        .ok_or_else(|| format!("`{text}` has no host and port"))
+    if !is_address {
+        return Err(format!("`{text}` has no host and port"));
+    }
+    Ok(place)
 }
 
 impl fmt::Display for PositionSource {

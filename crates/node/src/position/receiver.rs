@@ -17,7 +17,7 @@ use tokio::time::{sleep, timeout};
 /// The pause before a receiver is opened again.
 const PAUSE: Duration = Duration::from_secs(5);
 /// The pause before the end of a file is looked at again.
-const AT_THE_END: Duration = Duration::from_secs(1);
+const GROWTH_PAUSE: Duration = Duration::from_secs(1);
 /// The time limit for a connection.
 const CONNECTING: Duration = Duration::from_secs(10);
 /// The longest line, bytes: gpsd's lists of satellites are the longest.
@@ -45,19 +45,20 @@ async fn read(positions: &Positions) -> io::Result<()> {
         PositionSource::Gpsd(place) => {
             let mut stream = connect(place).await?;
             stream.write_all(WATCH).await?;
-            lines(stream, positions, false, gpsd).await
+            lines(stream, positions, AtTheEnd::Stops, gpsd).await
         }
         PositionSource::Tcp(place) => {
             let mut has_rmc = false;
             let stream = connect(place).await?;
-            lines(stream, positions, false, |line| nmea(line, &mut has_rmc)).await
+            let read = |line: &str| nmea(line, &mut has_rmc);
+            lines(stream, positions, AtTheEnd::Stops, read).await
         }
         PositionSource::Path(path) => {
             let mut has_rmc = false;
             let read = |line: &str| nmea(line, &mut has_rmc);
             match open(path)? {
-                Opened::Stream(stream) => lines(stream, positions, false, read).await,
-                Opened::File(file) => lines(file, positions, true, read).await,
+                Opened::Stream(stream) => lines(stream, positions, AtTheEnd::Stops, read).await,
+                Opened::File(file) => lines(file, positions, AtTheEnd::Waits, read).await,
             }
         }
     }
@@ -104,11 +105,19 @@ fn open(path: &Path) -> io::Result<Opened> {
     Receiver::from_file_unchecked(file).map(Opened::Stream)
 }
 
-/// Reads lines to the end; of a file that `grows`, whatever is added to it.
+/// What a reader does at the end of its input.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum AtTheEnd {
+    Stops,
+    /// The input is a file, which may grow.
+    Waits,
+}
+
+/// Reads lines to the end.
 async fn lines(
     stream: impl AsyncRead + Unpin,
     positions: &Positions,
-    grows: bool,
+    at_the_end: AtTheEnd,
     mut read: impl FnMut(&str) -> Reading,
 ) -> io::Result<()> {
     let mut stream = BufReader::new(stream);
@@ -116,8 +125,8 @@ async fn lines(
     // The first line of a receiver that is already sending is a part of one.
     let mut is_first = true;
     loop {
-        let limit = LONGEST_LINE - line.len() as u64;
-        let mut limited = (&mut stream).take(limit);
+        let room = LONGEST_LINE - line.len() as u64;
+        let mut limited = AsyncReadExt::take(&mut stream, room);
         let bytes = match timeout(SILENT, limited.read_until(b'\n', &mut line)).await {
             Ok(bytes) => bytes?,
             Err(_) => {
@@ -127,10 +136,10 @@ async fn lines(
         };
         let is_whole = line.ends_with(b"\n") || line.len() as u64 == LONGEST_LINE;
         if !is_whole && bytes == 0 {
-            if !grows {
+            if at_the_end == AtTheEnd::Stops {
                 return Ok(());
             }
-            sleep(AT_THE_END).await;
+            sleep(GROWTH_PAUSE).await;
             continue;
         }
         if !is_whole {

@@ -48,14 +48,17 @@ pub(super) fn nmea(line: &str, has_rmc: &mut bool) -> Reading {
             let is_valid = rmc.status_of_fix != RmcStatusOfFix::Invalid;
             let speed = rmc.speed_over_ground.map(|knots| f64::from(knots) * KNOT);
             match (rmc.lat, rmc.lon) {
-                (Some(latitude), Some(longitude)) if is_valid => fix((latitude, longitude), speed),
+                (Some(latitude), Some(longitude)) if is_valid => fix(latitude, longitude, speed),
                 _ => no_fix,
             }
         }
         Ok(ParseResult::GGA(gga)) if !*has_rmc => {
             let is_valid = gga.fix_type.is_some_and(|kind| kind != FixType::Invalid);
             match (gga.latitude, gga.longitude) {
-                (Some(latitude), Some(longitude)) if is_valid => fix((latitude, longitude), None),
+                (Some(latitude), Some(longitude)) if is_valid => {
+                    let no_speed = None;
+                    fix(latitude, longitude, no_speed)
+                }
                 _ => no_fix,
             }
         }
@@ -94,9 +97,9 @@ pub(super) fn gpsd(line: &str) -> Reading {
         "TPV" if report.mode.is_none_or(|mode| mode < 2) => {
             Reading::NoFix("it sees too few satellites")
         }
-        "TPV" => match report.lat.zip(report.lon) {
-            Some(place) => fix(place, report.speed),
-            None => Reading::NoFix("it sees too few satellites"),
+        "TPV" => match (report.lat, report.lon) {
+            (Some(latitude), Some(longitude)) => fix(latitude, longitude, report.speed),
+            _ => Reading::NoFix("it sees too few satellites"),
         },
         "DEVICES" if report.devices.is_some_and(|devices| devices.is_empty()) => {
             Reading::NoFix("gpsd has no receiver: name its device in /etc/default/gpsd")
@@ -106,7 +109,7 @@ pub(super) fn gpsd(line: &str) -> Reading {
     }
 }
 
-fn fix((latitude, longitude): (f64, f64), speed_m_s: Option<f64>) -> Reading {
+fn fix(latitude: f64, longitude: f64, speed_m_s: Option<f64>) -> Reading {
     let position = Position {
         latitude,
         longitude,

@@ -25,7 +25,15 @@ const GPSD: &str = r#"{"class":"VERSION","release":"3.22","rev":"3.22","proto_ma
 {"class":"TPV","mode":3,"time":"2034-08-16T03:07:21.000Z","ept":0.005,"lat":-37.784793333,"lon":175.314890000,"alt":60.1000,"track":181.3900,"speed":0.458,"eph":20.900}
 "#;
 
-fn is_in_hamilton(position: Position) {
+/// A place that no receiver here gives.
+const PLACE: Position = Position {
+    latitude: 1.0,
+    longitude: 2.0,
+    speed_m_s: None,
+};
+
+#[track_caller]
+fn assert_in_hamilton(position: Position) {
     assert!(
         (position.latitude + 37.784_793_333).abs() < 1e-8,
         "{position:?}"
@@ -43,7 +51,7 @@ fn sentences_of_nmea_give_position_and_speed() {
     let Reading::Fix(position) = read[0] else {
         panic!("{read:?}");
     };
-    is_in_hamilton(position);
+    assert_in_hamilton(position);
     assert!((position.speed_m_s.unwrap() - 0.458).abs() < 0.001);
     assert_eq!(read[1..], [Reading::Other, Reading::Other, Reading::Other]);
     let read: Vec<_> = NO_FIX.lines().map(|line| nmea(line, &mut has_rmc)).collect();
@@ -55,7 +63,7 @@ fn sentences_of_nmea_give_position_and_speed() {
     let Reading::Fix(position) = gga else {
         panic!("{gga:?}");
     };
-    is_in_hamilton(position);
+    assert_in_hamilton(position);
     assert_eq!(position.speed_m_s, None);
 }
 
@@ -67,8 +75,8 @@ fn what_is_no_sentence_says_why() {
         other => format!("{other:?}"),
     };
     let garbled = NMEA.replace("3747.0876", "3747.0877");
-    let garbled = reason(garbled.lines().next().unwrap());
-    assert!(garbled.contains("checksum"), "{garbled}");
+    let wrong = reason(garbled.lines().next().unwrap());
+    assert!(wrong.contains("checksum"), "{wrong}");
     let noise = reason("\u{fffd}\u{fffd}x\u{fffd}");
     assert!(noise.contains("stty"), "{noise}");
     assert_eq!(reason("$PMTK011,MTKGPS*08"), "Other");
@@ -161,16 +169,11 @@ async fn a_gpsd_is_asked_and_its_positions_are_those_of_frames() {
         stream.get_mut().write_all(GPSD.as_bytes()).await.unwrap();
         (asked, stream)
     });
-    is_in_hamilton(until_known(&positions).await);
+    assert_in_hamilton(until_known(&positions).await);
     let (asked, _stream) = serve.await.unwrap();
     assert_eq!(asked, "?WATCH={\"enable\":true,\"json\":true};\n");
-    let own = Ok(Position {
-        latitude: 1.0,
-        longitude: 2.0,
-        speed_m_s: None,
-    });
-    let found = positions.of_frame("front", Some(&own));
-    assert_eq!(found, own.ok(), "the frame's own position comes first");
+    let found = positions.of_frame("front", Some(&Ok(PLACE)));
+    assert_eq!(found, Some(PLACE), "the frame's own position comes first");
     assert_eq!(positions.fault(), None);
 }
 
@@ -185,7 +188,7 @@ async fn nmea_is_read_from_a_network_a_fifo_and_a_growing_file() {
         stream.write_all(lines.as_bytes()).await.unwrap();
         stream
     });
-    is_in_hamilton(until_known(&network).await);
+    assert_in_hamilton(until_known(&network).await);
     let _stream = serve.await.unwrap();
     assert_eq!(network.status().refused, 0);
 
@@ -196,7 +199,7 @@ async fn nmea_is_read_from_a_network_a_fifo_and_a_growing_file() {
     let piped = positions(fifo.to_str().unwrap());
     // Blocks until the node has opened it.
     let writing = tokio::task::spawn_blocking(move || std::fs::write(fifo, NMEA).unwrap());
-    is_in_hamilton(until_known(&piped).await);
+    assert_in_hamilton(until_known(&piped).await);
     writing.await.unwrap();
 
     let file = folder.path().join("log");
@@ -210,7 +213,7 @@ async fn nmea_is_read_from_a_network_a_fifo_and_a_growing_file() {
         std::fs::write(&file, format!("{NO_FIX}{NMEA}")).unwrap();
     };
     let (position, ()) = tokio::join!(until_known(&grown), grow);
-    is_in_hamilton(position);
+    assert_in_hamilton(position);
 }
 
 #[tokio::test]
@@ -225,7 +228,7 @@ async fn a_receiver_that_comes_back_is_read_again() {
         second.write_all(NMEA.as_bytes()).await.unwrap();
         second
     });
-    is_in_hamilton(until_known(&positions).await);
+    assert_in_hamilton(until_known(&positions).await);
     let _stream = serve.await.unwrap();
 }
 
@@ -249,13 +252,8 @@ async fn a_receiver_that_is_away_is_a_fault_and_one_in_a_garage_is_not() {
         assert_eq!(garage.fault(), None);
     }
     assert_eq!(garage.status().words, "it sees too few satellites");
-    let place = Position {
-        latitude: 1.0,
-        longitude: 2.0,
-        speed_m_s: None,
-    };
-    garage.found(place);
-    assert_eq!(garage.of_frame("front", None), Some(place));
+    garage.found(PLACE);
+    assert_eq!(garage.of_frame("front", None), Some(PLACE));
     assert_eq!(garage.status().words, "it gives positions");
     tokio::time::sleep(FRESH).await;
     assert_eq!(garage.of_frame("front", None), None, "it is too old");
@@ -284,11 +282,6 @@ async fn a_position_of_a_frame_that_cannot_be_right_is_told_for_a_minute() {
     assert_eq!(frames.status().refused, 1);
 
     let off = positions("off");
-    let right = Ok(Position {
-        latitude: 1.0,
-        longitude: 2.0,
-        speed_m_s: None,
-    });
-    assert_eq!(off.of_frame("front", Some(&right)), None);
+    assert_eq!(off.of_frame("front", Some(&Ok(PLACE))), None);
     assert_eq!((off.status().ignored, off.fault()), (1, None));
 }

@@ -10,24 +10,40 @@ use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 /// The limit of a wait, which a busy machine does not reach.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// A request that a receiver got.
+struct Received {
+    headers: HeaderMap,
+    path: String,
+    sighting: Value,
+}
+
+impl Received {
+    fn seq(&self) -> u64 {
+        self.sighting["seq"].as_u64().unwrap()
+    }
+}
+
 /// A real HTTP server that answers with these statuses, and then with 204; shows the requests that it got.
-pub(crate) struct Receiver {
-    pub url: String,
-    pub requests: UnboundedReceiver<(HeaderMap, String, Value)>,
+struct Receiver {
+    url: String,
+    requests: UnboundedReceiver<Received>,
 }
 
 impl Receiver {
-    pub(crate) async fn answering(statuses: &[u16]) -> Self {
+    async fn answering(statuses: &[u16]) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let (got, requests) = unbounded_channel();
-        let statuses = parking_lot::Mutex::new(VecDeque::from(statuses.to_vec()));
-        let statuses = Arc::new(statuses);
+        let left = Arc::new(parking_lot::Mutex::new(VecDeque::from(statuses.to_vec())));
         let answer = async move |method: Method, uri: Uri, headers: HeaderMap, body: Body| {
             assert_eq!(method, Method::POST);
-            let sighting = serde_json::from_slice(&body).unwrap();
-            got.send((headers, uri.to_string(), sighting)).unwrap();
-            let status = statuses.lock().pop_front().unwrap_or(204);
+            let received = Received {
+                headers,
+                path: uri.to_string(),
+                sighting: serde_json::from_slice(&body).unwrap(),
+            };
+            got.send(received).ok().unwrap();
+            let status = left.lock().pop_front().unwrap_or(204);
             StatusCode::from_u16(status).unwrap()
         };
         let routes = Router::new().fallback(answer);
@@ -35,7 +51,7 @@ impl Receiver {
         Self { url, requests }
     }
 
-    async fn next(&mut self) -> (HeaderMap, String, Value) {
+    async fn next(&mut self) -> Received {
         let request = timeout(PATIENCE, self.requests.recv()).await;
         request.expect("in time").expect("the server runs")
     }
@@ -65,9 +81,20 @@ fn hook(board: &Board, section: &str) -> Hook {
 }
 
 /// What was done with the messages of the only hook.
-fn counts(board: &Board) -> [u64; 3] {
+#[derive(PartialEq)]
+struct Counts {
+    sent: u64,
+    failed: u64,
+    dropped: u64,
+}
+
+fn counts(board: &Board) -> Counts {
     let counts = board.forwarded().remove(0);
-    [counts.sent, counts.failed, counts.dropped]
+    Counts {
+        sent: counts.sent,
+        failed: counts.failed,
+        dropped: counts.dropped,
+    }
 }
 
 async fn until(condition: impl Fn() -> bool) {
@@ -92,11 +119,11 @@ async fn a_receiver_that_fails_twice_gets_each_sighting_once_it_accepts_and_in_o
         board.tell(sighting("front", "car", seq));
     }
     for _ in 0..4 {
-        let (headers, path, sent) = receiver.next().await;
-        assert_eq!(path, "/k3y?t=t0ken");
-        assert_eq!(headers[CONTENT_TYPE], "application/json");
-        assert_eq!(headers[AUTHORIZATION], "Basic YW5uOnMzY3JldA==");
-        seen.push(sent["seq"].as_u64().unwrap());
+        let received = receiver.next().await;
+        assert_eq!(received.path, "/k3y?t=t0ken");
+        assert_eq!(received.headers[CONTENT_TYPE], "application/json");
+        assert_eq!(received.headers[AUTHORIZATION], "Basic YW5uOnMzY3JldA==");
+        seen.push(received.seq());
         if seen.len() == 2 {
             let reasons = board.readiness.health().status().reasons;
             let shown = format!("{reasons:?} {:?}", board.forwarded());
@@ -110,7 +137,12 @@ async fn a_receiver_that_fails_twice_gets_each_sighting_once_it_accepts_and_in_o
         }
     }
     assert_eq!(seen, [1, 1, 1, 2]);
-    until(|| counts(&board) == [2, 2, 0]).await;
+    let expected = Counts {
+        sent: 2,
+        failed: 2,
+        dropped: 0,
+    };
+    until(|| counts(&board) == expected).await;
     assert!(!board.readiness.health().status().reasons.contains_key("hooks"));
     stop.cancel();
     running.await.unwrap();
@@ -128,8 +160,8 @@ async fn a_hook_is_told_of_its_cameras_and_classes_alone() {
     board.tell(sighting("rear", "car", 1));
     board.tell(sighting("front", "bus", 2));
     board.tell(sighting("front", "car", 3));
-    let (_, path, sent) = receiver.next().await;
-    assert_eq!((path.as_str(), sent["seq"].as_u64()), ("/", Some(3)));
+    let received = receiver.next().await;
+    assert_eq!((received.path.as_str(), received.seq()), ("/", 3));
     stop.cancel();
 }
 
@@ -144,10 +176,15 @@ async fn a_post_that_is_refused_for_good_is_dropped_and_the_next_one_is_sent() {
     board.tell(sighting("front", "car", 2));
     let mut seen = Vec::new();
     for _ in 0..3 {
-        seen.push(receiver.next().await.2["seq"].as_u64().unwrap());
+        seen.push(receiver.next().await.seq());
     }
     assert_eq!(seen, [1, 2, 2]);
-    until(|| counts(&board) == [1, 2, 1]).await;
+    let expected = Counts {
+        sent: 1,
+        failed: 2,
+        dropped: 1,
+    };
+    until(|| counts(&board) == expected).await;
     stop.cancel();
 }
 
@@ -162,7 +199,7 @@ async fn while_nobody_listens_the_oldest_are_dropped_and_counted() {
     assert_eq!(hook.waiting.front().unwrap().seq, 3);
     let stop = CancellationToken::new();
     let running = tokio::spawn(hook.run(stop.clone()));
-    until(|| counts(&board)[1] > 0).await;
+    until(|| counts(&board).failed > 0).await;
     let health = board.readiness.health();
     assert_eq!(
         health.state(),
@@ -178,10 +215,8 @@ async fn while_nobody_listens_the_oldest_are_dropped_and_counted() {
     assert_eq!(fault.fault.effect, albireo_wire::HealthState::Degraded);
     stop.cancel();
     running.await.unwrap();
-    let [sent, _, dropped] = counts(&board);
-    assert_eq!(
-        (sent, dropped),
-        (0, 3 + MOST_WAITING as u64),
-        "those that waited, too"
-    );
+    let counts = counts(&board);
+    assert_eq!(counts.sent, 0);
+    let all = 3 + MOST_WAITING as u64;
+    assert_eq!(counts.dropped, all, "those that waited, too");
 }

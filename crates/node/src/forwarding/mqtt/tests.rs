@@ -59,12 +59,12 @@ impl Broker {
     fn follow(&self) -> Messages {
         let port = self.port.to_string();
         let follow = ["-h", "127.0.0.1", "-p", &port, "-t", "#", "-F", "%r %t %p"];
-        let process = Command::new("mosquitto_sub")
+        let started = Command::new("mosquitto_sub")
             .args(follow)
             .stdout(Stdio::piped())
             .kill_on_drop(true)
             .spawn();
-        let mut process = process.expect("mosquitto_sub is installed");
+        let mut process = started.expect("mosquitto_sub is installed");
         let lines = BufReader::new(process.stdout.take().unwrap()).lines();
         Messages {
             seen: Vec::new(),
@@ -91,9 +91,11 @@ impl Messages {
             if let Some(line) = self.seen.iter().find(is_meant) {
                 return line.clone();
             }
-            let line = timeout(PATIENCE, self.lines.next_line()).await;
-            let line = line.unwrap_or_else(|_| panic!("no {begin} in {:#?}", self.seen));
-            let line = line.unwrap().expect("Mosquitto runs");
+            let Ok(read) = timeout(PATIENCE, self.lines.next_line()).await else {
+                panic!("no {begin} in {:#?}", self.seen);
+            };
+            let line = read.unwrap().expect("Mosquitto runs");
+            // It begins with 1 for a retained message, and with 0 for another.
             self.seen.push(line.replacen("0 ", "", 1).replacen("1 ", "=", 1));
         }
     }
@@ -150,9 +152,9 @@ impl Client {
     }
 
     fn fault(&self) -> Option<Fault> {
-        let faults = self.board.readiness.health().faults;
-        let mut faults = faults.into_iter().filter(|fault| fault.part == readiness::MQTT);
-        faults.next().map(|fault| fault.fault)
+        let mut faults = self.board.readiness.health().faults.into_iter();
+        let of_mqtt = faults.find(|fault| fault.part == readiness::MQTT);
+        of_mqtt.map(|fault| fault.fault)
     }
 
     /// Waits until the part is degraded for a reason that contains `words`.
