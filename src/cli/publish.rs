@@ -3,13 +3,14 @@
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
 use super::values::counted;
 use albireo_node::input::source::{
-    LiveSource, Recorded, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourceSettings,
+    LiveSource, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourcePicture,
+    SourceSettings,
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
 use albireo_service::rate_limit::RateLimit;
 use albireo_service::{logging, signals};
-use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_vision::picture::FrameLimits;
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{anyhow, bail};
 use std::convert::Infallible;
@@ -122,12 +123,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
         SourceEvent::PassedOver(file) => {
             tracing::warn!(source = name, "passed over {file}");
         }
-        SourceEvent::Picture {
-            picture,
-            reopened,
-            recorded,
-            ..
-        } => match outlet.send(picture, reopened, recorded) {
+        SourceEvent::Picture(taken) => match outlet.send(taken) {
             Ok(()) => {
                 sending.fetch_add(1, Ordering::Relaxed);
                 failed = false;
@@ -196,25 +192,21 @@ struct Outlet {
 }
 
 impl Outlet {
-    fn send(
-        &mut self,
-        picture: Result<EncodedPicture, FrameFault>,
-        reopened: bool,
-        recorded: Option<Recorded>,
-    ) -> anyhow::Result<()> {
-        if reopened {
+    fn send(&mut self, taken: SourcePicture) -> anyhow::Result<()> {
+        if taken.is_reopened {
             self.seq = 0;
             self.sender.begin_stream()?;
         }
         let mut time_ns = None;
         let mut clip = None;
-        if let Some(recorded) = recorded {
+        if let Some(recorded) = taken.recorded {
             time_ns = recorded.time_ns;
             clip = Some(recorded.drive.to_string());
         }
         let seq = self.seq;
         self.seq += 1;
-        let picture = picture.map_err(|fault| anyhow!("a picture cannot be sent: {fault}"))?;
+        let unusable = |fault| anyhow!("a picture cannot be sent: {fault}");
+        let picture = taken.picture.map_err(unusable)?;
         self.sender.put(&OutgoingFrame {
             picture,
             attachment: FrameAttachment {

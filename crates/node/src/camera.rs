@@ -7,6 +7,7 @@ pub mod clip;
 mod config;
 mod decider;
 pub mod evidence;
+mod in_force;
 mod rate;
 mod settled;
 
@@ -28,7 +29,7 @@ use crate::position::Positions;
 use crate::publishing::Outlet;
 use crate::publishing::ros2::Ros2Outlet;
 use crate::recorder::CameraRecorder;
-use crate::state::board::{CameraBoard, InForce, NoNews, NodePolicy};
+use crate::state::board::{CameraBoard, InForce, NodePolicy};
 use albireo_core::policy::{
     CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome, Policy,
     PolicyConfig, PolicyConfigError,
@@ -141,8 +142,16 @@ pub(crate) struct Camera {
     /// The arrival of the first of the broken frames in a row up to now.
     broken_since: Option<Instant>,
     /// The camera's name for the clip of the previous frame.
-    clip: Option<Arc<str>>,
+    previous_clip: Option<Arc<str>>,
     outcome: Outcome,
+}
+
+/// Which of its answers a frame gets.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum AnswerStage {
+    /// A prediction, which the final answer follows.
+    Pending,
+    Final,
 }
 
 /// The place of a frame in what its camera sends.
@@ -210,7 +219,7 @@ impl Camera {
             newest: None,
             first_index: None,
             broken_since: None,
-            clip: None,
+            previous_clip: None,
             outcome: Outcome::default(),
             parts,
         })
@@ -244,7 +253,7 @@ impl Camera {
     }
 
     fn tick(&mut self) {
-        self.count_others();
+        self.count_unreported();
         self.parts.hand_over(self.tracker.tick(Instant::now()));
         if let Some(settled) = &mut self.settled {
             settled.tick();
@@ -260,17 +269,19 @@ impl Camera {
             parts.receiver.answer(frame.query, Some(reason));
         }
         self.audit.give_up();
-        self.count_others();
+        self.count_unreported();
         let parts = &self.parts;
         parts.hand_over(self.tracker.nothing_is_pending());
         parts.hand_over(self.tracker.shutdown(Instant::now()));
     }
 
-    /// Adds the counts of others to the open clip: dropped frames and audit results. Without an open clip, they go to
-    /// the next one.
-    fn count_others(&mut self) {
-        let board = &self.parts.board;
-        self.tracker.count_others(|| board.take_unreported());
+    /// Adds the dropped frames and audit results since the last call to the open clip. Without an open clip, they go
+    /// to the next one.
+    fn count_unreported(&mut self) {
+        if self.tracker.clip().is_some() {
+            let unreported = self.parts.board.take_unreported();
+            self.tracker.count_unreported(&unreported);
+        }
     }
 
     fn process(&mut self, mut incoming: SequencedFrame) {
@@ -282,14 +293,14 @@ impl Camera {
         if frame.need == Need::Nothing {
             return self.conclude(&frame);
         }
-        if frame.incoming.broken {
+        if frame.incoming.is_broken {
             if let Some(frame) = self.decider.without_evidence(frame, &mut self.outcome) {
                 self.conclude(&frame);
             }
             return;
         }
         if self.decider.answers_at_once() {
-            let message = self.answer(&frame, true);
+            let message = self.answer(&frame, AnswerStage::Pending);
             self.tracker.pending(message.seq, frame.threshold);
             frame.first_answer = Some(frame.incoming.frame.received.elapsed());
         }
@@ -308,8 +319,8 @@ impl Camera {
     /// Publishes and counts the final answer of a frame, whose first answer may already be published, and offers the
     /// frame to the audit if it is drawn.
     fn conclude(&mut self, frame: &BegunFrame) {
-        let message = self.answer(frame, false);
-        let BegunFrame { incoming, .. } = frame;
+        let message = self.answer(frame, AnswerStage::Final);
+        let incoming = &frame.incoming;
         let first_answer = frame.first_answer.unwrap_or_else(|| incoming.frame.received.elapsed());
         let record = FrameRecord {
             times: frame.times,
@@ -343,7 +354,7 @@ impl Camera {
             self.decider.policy.reset();
             self.first_index = None;
         }
-        self.clip.clone_from(&frame.clip);
+        self.previous_clip.clone_from(&frame.clip);
         self.take_in_force(frame.received);
 
         // Without a first index the policy has just begun, and knows no frame before this one.
@@ -351,8 +362,9 @@ impl Camera {
             Some(before) if self.first_index.is_some() => incoming.index - before.index,
             _ => 1,
         };
+        let first_index = *self.first_index.get_or_insert(incoming.index);
         let head = FrameHead {
-            index: incoming.index - *self.first_index.get_or_insert(incoming.index),
+            index: incoming.index - first_index,
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
@@ -360,20 +372,23 @@ impl Camera {
         self.show_no_news();
         self.apply_pause();
         // Frames dropped before this one belong to the clip that was open then.
-        self.count_others();
+        self.count_unreported();
         let parts = &self.parts;
-        let clip = frame.clip.as_deref();
-        parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
+        let named_clip = frame.clip.as_deref();
+        parts.hand_over(self.tracker.arrive(frame.time_ns, named_clip, frame.received));
         let position = parts.positions.of_frame(parts.board.name(), frame.position.as_ref());
         if let Some(position) = position {
             self.tracker.locate(position, frame.time_ns, frame.received);
         }
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let spec = self.policy.spec.zip(self.decider.policy.policy().threshold());
+        let threshold = match (self.policy.spec, self.decider.policy.policy().threshold()) {
+            (Some(spec), Some(value)) => Some(Threshold::new(spec.name, value)),
+            _ => None,
+        };
         BegunFrame {
             head,
             clip,
-            threshold: spec.map(|(spec, value)| Threshold::new(spec.name, value)),
+            threshold,
             position,
             need: Need::Nothing,
             taken,
@@ -387,7 +402,7 @@ impl Camera {
     /// broken, or a clip begins at which they are to be forgotten.
     fn forgets_objects(&mut self, incoming: &SequencedFrame, before: Option<StreamPlace>) -> bool {
         let frame = &incoming.frame;
-        let is_blind = if incoming.broken {
+        let is_blind = if incoming.is_broken {
             let since = *self.broken_since.get_or_insert(frame.received);
             frame.received.saturating_duration_since(since) > LONGEST_BLIND
         } else {
@@ -395,33 +410,35 @@ impl Camera {
             false
         };
         let is_restart = before.is_some_and(|before| before.epoch != incoming.epoch);
-        let is_new_clip = self.clip.is_some() && frame.clip.is_some() && frame.clip != self.clip;
+        let previous_clip = &self.previous_clip;
+        let is_new_clip =
+            previous_clip.is_some() && frame.clip.is_some() && frame.clip != *previous_clip;
         is_restart || is_blind || (is_new_clip && self.parts.reset_at_clip)
     }
 
-    /// Publishes an answer of a frame: a `pending` one before the final one, or the final one. Leaves only the
-    /// published boxes in the outcome.
-    fn answer(&mut self, frame: &BegunFrame, pending: bool) -> Arc<DetectionsMessage> {
+    /// Publishes an answer of a frame. Leaves only the published boxes in the outcome.
+    fn answer(&mut self, frame: &BegunFrame, stage: AnswerStage) -> Arc<DetectionsMessage> {
         let parts = &self.parts;
         let outcome = &mut self.outcome;
         // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
         if outcome.cause == Some(CallCause::Screen) && frame.times.overruled {
             outcome.cause = Some(CallCause::EmptyLimit);
         }
-        let BegunFrame { incoming, .. } = frame;
+        let incoming = &frame.incoming;
         let received = incoming.frame.received;
-        let late = frame.first_answer.is_some();
+        let is_pending = stage == AnswerStage::Pending;
+        let is_late = frame.first_answer.is_some();
         // Its object may have moved into the mask since the detector saw it.
         outcome.boxes.retain(|one| !parts.receiver.hides(one.bounding_box));
         match &mut self.settled {
-            Some(settled) if late => settled.late(incoming.index, outcome),
-            Some(settled) => settled.frame(incoming, &frame.clip, outcome, pending),
+            Some(settled) if is_late => settled.late(incoming.index, outcome),
+            Some(settled) => settled.frame(incoming, &frame.clip, outcome, is_pending),
             None => {}
         }
         parts.min_confidence.select(&mut outcome.boxes);
         let class_names = &parts.class_names;
         let message = Arc::new(DetectionsMessage {
-            pending,
+            pending: is_pending,
             threshold: frame.threshold,
             latency_ms: Latency {
                 total: milliseconds(received.elapsed()),
@@ -430,9 +447,9 @@ impl Camera {
             },
             ..detections_message(outcome, &incoming.frame, &frame.clip, class_names)
         });
-        if late {
-            if let Some(late) = &parts.late {
-                late.put(&*message);
+        if is_late {
+            if let Some(outlet) = &parts.late {
+                outlet.put(&*message);
             }
             parts.board.show_late(Arc::clone(&message));
         } else {
@@ -443,107 +460,6 @@ impl Camera {
             parts.board.show(Arc::clone(&message), incoming.frame.picture.clone());
         }
         message
-    }
-
-    /// Shows on the board that the camera's pictures have no news, with the pause in seconds at the measured rate.
-    fn show_no_news(&self) {
-        let rate = self.rate.rate().unwrap_or(1.0);
-        let no_news = self.decider.policy.no_news().map(|(cause, frames)| {
-            let seconds = f64::from(frames) / rate;
-            NoNews {
-                cause,
-                for_s: (10.0 * seconds).round() / 10.0,
-            }
-        });
-        self.parts.board.set_no_news(no_news);
-    }
-
-    /// Applies the pause on an empty road, in frames of the measured rate, from this frame on, and shows the rate. Says once
-    /// what the pause means: it may be shorter than two frames.
-    fn apply_pause(&mut self) {
-        if self.empty_road.has_changed().unwrap_or(false) {
-            self.empty_road.mark_unchanged();
-            self.pause_is_told = false;
-        }
-        let empty_road = *self.empty_road.borrow();
-        let rate = self.rate.rate();
-        let frames = empty_road.frames(rate);
-        self.decider.policy.set_pause(frames);
-        self.parts.board.set_rate(rate);
-        if !self.pause_is_told && empty_road.pause_s > 0.0 && self.rate.is_settled() {
-            self.pause_is_told = true;
-            self.tell_pause(empty_road.pause_s, frames.every, rate.unwrap_or_default());
-        }
-    }
-
-    /// Says what the pause means at the camera's rate.
-    fn tell_pause(&self, pause_s: f64, every: u32, rate: f64) {
-        let camera = self.parts.board.name();
-        match every {
-            0 | 1 => tracing::warn!(
-                camera,
-                pause_s,
-                frames_per_second = format!("{rate:.1}"),
-                "the pause on an empty road is shorter than two frames and does nothing: set screen.pause_s to {:.2} or more",
-                2.0 / rate
-            ),
-            every => tracing::info!(
-                camera,
-                pause_s,
-                frames_per_second = format!("{rate:.1}"),
-                "on an empty road, one frame in {every} is looked at"
-            ),
-        }
-    }
-
-    /// Makes the prediction of a pending frame its final answer.
-    fn conclude_pending(&mut self) {
-        if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
-            self.conclude(&given_up);
-        }
-    }
-
-    /// Applies a switched policy and a changed threshold from this frame on, which arrived at `arrival`.
-    fn take_in_force(&mut self, arrival: Instant) {
-        if !self.in_force.has_changed().unwrap_or(false) {
-            return;
-        }
-        let in_force = self.in_force.borrow_and_update().clone();
-        if !Arc::ptr_eq(&in_force.policy, &self.policy) {
-            self.switch(in_force.policy, arrival);
-        }
-        if let Some(value) = in_force.threshold
-            && let Err(error) = self.decider.policy.set_threshold(value)
-        {
-            tracing::error!(camera = self.parts.board.name(), %error, "the policy rejected a threshold");
-        }
-    }
-
-    /// Follows another policy, which begins as at the start of a stream: what was seen and counted under the one before stays
-    /// with that one's clip.
-    fn switch(&mut self, policy: Arc<NodePolicy>, arrival: Instant) {
-        self.conclude_pending();
-        let camera = self.parts.board.name();
-        match self.parts.policy(&policy.config) {
-            Ok(made) => self.decider.policy = made,
-            // The node's own policies were built before they came into force; only a program's own ones can fail here.
-            Err(error) => {
-                tracing::error!(camera, policy = policy.name, %error, "the camera keeps its policy");
-                return;
-            }
-        }
-        self.policy = policy;
-        self.first_index = None;
-        if let Some(settled) = &mut self.settled {
-            settled.flush();
-        }
-        self.audit.give_up();
-        self.count_others();
-        let name = self.decider.policy.policy().name();
-        self.parts.hand_over(self.tracker.switch(name, arrival));
-        self.parts.board.policy_begins();
-        let camera = self.parts.board.name();
-        tracing::info!(camera, policy = name, "follows another policy");
     }
 }
 

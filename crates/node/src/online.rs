@@ -9,8 +9,9 @@ use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
-use albireo_vision::detector::{DetectorConfig, DetectorNetwork, ExecutionProvider};
-use albireo_vision::detector::{USUAL_PICTURE, compare_with_cpu};
+use albireo_vision::detector::{
+    DetectorConfig, DetectorNetwork, ExecutionProvider, USUAL_PICTURE, compare_with_cpu,
+};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::ScreenHandle;
 use parking_lot::Mutex;
@@ -64,8 +65,11 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             let detector = Arc::clone(&detector);
             let tried = tokio::task::spawn_blocking(move || {
                 let picture = arrived?.mounted(mount.as_ref());
-                let network = network.as_deref().map(|network| (network, &*detector));
-                try_picture(&picture, &limits, network)
+                let detector = network.as_deref().map(|network| OpenDetector {
+                    network,
+                    config: &detector,
+                });
+                try_picture(&picture, &limits, detector)
             });
             report(&key, tried.await.unwrap_or_else(|error| Err(error.into())));
         }
@@ -102,11 +106,17 @@ async fn in_time(
     Ok(tokio::time::timeout(ANSWER, opening).await.map_err(silent)??)
 }
 
+/// A detector that works.
+struct OpenDetector<'a> {
+    network: &'a Mutex<DetectorNetwork>,
+    config: &'a DetectorConfig,
+}
+
 /// Decodes the picture of a camera and, if there is a detector, runs it on the picture; if a GPU runs it, on the CPU, too.
 fn try_picture(
     picture: &EncodedPicture,
     limits: &FrameLimits,
-    detector: Option<(&Mutex<DetectorNetwork>, &DetectorConfig)>,
+    detector: Option<OpenDetector<'_>>,
 ) -> Result<String, TrialFailure> {
     let unusable = |reason: &dyn Display| -> TrialFailure {
         format!("a picture arrived that cannot be used: {reason}").into()
@@ -120,7 +130,7 @@ fn try_picture(
         picture.size,
         picture.format.as_str()
     );
-    let Some((network, config)) = detector else {
+    let Some(OpenDetector { network, config }) = detector else {
         return Ok(text);
     };
     let mut network = network.lock();
@@ -175,8 +185,8 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Tr
     let mut times = format!("{:.1} ms per picture", median(&mut network, largest)?);
     let usual = network.input().first_use(USUAL_PICTURE).smallest.size;
     if network.input().open.is_some() && usual != largest {
-        let usual = median(&mut network, usual)?;
-        times = format!("{times} at {largest}, {usual:.1} ms for 16:9");
+        let usual_ms = median(&mut network, usual)?;
+        times = format!("{times} at {largest}, {usual_ms:.1} ms for 16:9");
     }
     let provider = network.provider();
     let mut text = format!(
@@ -228,9 +238,9 @@ async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, TrialFai
     stop.cancel();
     running.await??;
     match first {
-        Ok(Some(SourceEvent::Picture { picture, .. })) => {
+        Ok(Some(SourceEvent::Picture(taken))) => {
             let unusable = |fault| format!("a picture arrived that cannot be used: {fault}");
-            Ok(picture.map_err(unusable)?)
+            Ok(taken.picture.map_err(unusable)?)
         }
         Ok(Some(SourceEvent::Failed { reason, .. })) => Err(reason.into()),
         Ok(Some(SourceEvent::PassedOver(file))) => Err(file.to_string().into()),
@@ -248,7 +258,8 @@ async fn try_router(config: &NodeConfig) -> Result<String, TrialFailure> {
     };
     let endpoints = &client.connect;
     let limit = config.frame.max_payload_bytes;
-    let opening = session::open(&client, limit, &[], false, |_| {});
+    let is_patient = false;
+    let opening = session::open(&client, limit, &[], is_patient, |_| {});
     close(in_time(endpoints, opening).await?).await;
     Ok(format!("{} answers", endpoints.join(", ")))
 }

@@ -19,11 +19,36 @@ use zenoh::{Session, Wait};
 /// Priority of a live camera's detections.
 pub(crate) const LIVE: Priority = Priority::InteractiveHigh;
 /// Priority of the detections of a camera that must not lose any: a put may wait for the subscriber.
-pub(crate) const EVERY: Priority = Priority::InteractiveLow;
+const EVERY: Priority = Priority::InteractiveLow;
 /// Priority of clip reports for subscribers.
 pub(crate) const CLIPS: Priority = Priority::DataLow;
 /// Priority of counters and status.
 pub(crate) const COUNTERS: Priority = Priority::Background;
+
+/// What happens to the messages on a key while their subscribers are slow.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Congestion {
+    control: CongestionControl,
+    priority: Priority,
+}
+
+impl Congestion {
+    /// The answers of a live camera are dropped.
+    pub(crate) const LIVE_ANSWERS: Self = Self {
+        control: CongestionControl::Drop,
+        priority: LIVE,
+    };
+    /// The answers of a camera that must not lose any wait.
+    pub(crate) const EVERY_ANSWER: Self = Self {
+        control: CongestionControl::Block,
+        priority: EVERY,
+    };
+    /// Counters are dropped.
+    pub(crate) const COUNTERS: Self = Self {
+        control: CongestionControl::Drop,
+        priority: COUNTERS,
+    };
+}
 
 /// Counts the messages about one camera that were not published.
 #[derive(Clone, Debug, Default)]
@@ -55,13 +80,13 @@ impl Outlet {
     pub(crate) async fn declare(
         session: &Session,
         key: String,
-        (congestion, priority): (CongestionControl, Priority),
+        congestion: Congestion,
         unpublished: &Unpublished,
     ) -> Result<Self, NodeError> {
         let publisher = session
             .declare_publisher(key.clone())
-            .congestion_control(congestion)
-            .priority(priority)
+            .congestion_control(congestion.control)
+            .priority(congestion.priority)
             .await
             .map_err(NodeError::refused(format!("`{key}` cannot be published")))?;
         Ok(Self {

@@ -38,7 +38,17 @@ const RECENT: Duration = Duration::from_secs(60);
 /// The writer's place behind the other threads, from 0 to 19.
 const NICENESS: i32 = 10;
 
+/// The time between two log lines about missing frames.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
+
+/// Whose memory the pictures of frames are in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PictureMemory {
+    /// The node's: they can be held for any time.
+    Own,
+    /// That of a sender, who wants it back: they are copied.
+    Lent,
+}
 
 /// What is recorded, and what is not.
 #[derive(Clone, Debug, Default, Serialize, ToSchema)]
@@ -190,13 +200,13 @@ impl Recorder {
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub(crate) fn start(&self, limits: FrameLimits, copies: bool) -> std::io::Result<()> {
+    pub(crate) fn start(&self, limits: FrameLimits, memory: PictureMemory) -> std::io::Result<()> {
         let (Some(orders), Some(folder)) = (self.orders.lock().take(), &self.config.folder) else {
             return Ok(());
         };
         let (end, ended) = oneshot::channel();
         let counts = Arc::clone(&self.counts);
-        let mut writer = Writer::new(&self.config, folder, &self.cameras, limits, copies, counts);
+        let mut writer = Writer::new(&self.config, folder, &self.cameras, limits, memory, counts);
         let waiting = Arc::clone(&self.waiting);
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
             // Whatever answers frames goes first. Refused, the thread is one like the others.

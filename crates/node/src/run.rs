@@ -138,7 +138,9 @@ fn notify(board: Arc<Board>, config: &NodeConfig, stopping: CancellationToken) -
     let builds_engine = config.detector.providers.contains(&ExecutionProvider::TensorRt);
     let state = move || {
         let detector = board.detector_status();
-        readiness::service_state(&board.readiness, &detector, stuck_after_s, builds_engine)
+        let state =
+            readiness::service_state(&board.readiness, &detector, stuck_after_s, builds_engine);
+        (state.health, state.stuck)
     };
     tokio::spawn(albireo_service::notify::run(state, stopping))
 }

@@ -44,7 +44,7 @@ impl Settings {
         };
         settings.restore_policy();
         for camera in &board.cameras {
-            settings.restore(camera);
+            settings.restore_threshold(camera);
         }
         settings.restore_pause();
         let target = &board.target;
@@ -86,7 +86,7 @@ impl Settings {
     }
 
     /// Restores the threshold kept for a camera, if it still fits the policy and the configuration.
-    fn restore(&self, camera: &CameraBoard) {
+    fn restore_threshold(&self, camera: &CameraBoard) {
         let Some(spec) = camera.threshold_spec() else {
             return;
         };

@@ -38,9 +38,9 @@ const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// The interval at which a failed disk is tried again.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
-/// Limits of connections to the Zenoh port that are not sessions yet: so many at a time, each for so many milliseconds. With
-/// Zenoh's own, 100 for ten seconds, silent connections keep cameras out. A process may often have no more than 1024
-/// descriptors, of which HTTP takes up to 256.
+/// Limits of connections to the Zenoh port that are not sessions yet, in Zenoh's own terms: their number, and the milliseconds
+/// that each has. With Zenoh's own limits, 100 for ten seconds, silent connections keep cameras out. A process may often have
+/// no more than 1024 descriptors, of which HTTP takes up to 256.
 const ACCEPTING: [(&str, &str); 2] = [
     ("transport/unicast/accept_pending", "400"),
     ("transport/unicast/accept_timeout", "3000"),
@@ -98,16 +98,12 @@ impl PreparedNode {
             shutdown.clone(),
         );
         models.watch(&mut tasks, &board);
-        readiness::check_cameras(&board);
-        readiness::check_power(&board, &power);
-        let watched = board.readiness.clone().watch(POLL_INTERVAL);
-        tasks.until_shutdown("readiness", watched);
         tasks.until_shutdown("power sampler", sampler);
+        watch_board(&board, &power, &mut tasks);
         if config.position.source.is_receiver() {
             let positions = Arc::clone(&board.positions);
             tasks.until_shutdown("position", crate::position::follow(positions));
         }
-        tasks.until_shutdown("certificates", board.certificates.clone().follow());
 
         // Each camera has its loop, its reporter, and its source of frames.
         let shared = Arc::new(SharedParts {
@@ -239,6 +235,15 @@ impl Node {
     }
 }
 
+/// Watches the cameras, the power meter and the certificates, for the readiness that the board shows.
+fn watch_board(board: &Board, power: &PowerHandle, tasks: &mut Supervisor) {
+    readiness::check_cameras(board);
+    readiness::check_power(board, power);
+    let watched = board.readiness.clone().watch(POLL_INTERVAL);
+    tasks.until_shutdown("readiness", watched);
+    tasks.until_shutdown("certificates", board.certificates.clone().follow());
+}
+
 /// Starts what tells others of sightings: hooks and MQTT. Their faults are theirs: the node works without them.
 fn start_forwarding(
     config: &NodeConfig,
@@ -308,11 +313,18 @@ async fn open_session(config: &NodeConfig, parts: &Readiness) -> Result<Session,
         Some(_) => &[],
     };
     let largest_frame = config.frame.max_payload_bytes;
-    let session = session::open(&config.zenoh, largest_frame, settings, false, |error| {
-        zenoh.not_ready(format!("the router cannot be reached: {error}"));
-    })
-    .await
-    .map_err(NodeError::new)?;
+    // A client waits for its router in any case; otherwise an endpoint that cannot be used is an error.
+    let is_patient = false;
+    let opening = session::open(
+        &config.zenoh,
+        largest_frame,
+        settings,
+        is_patient,
+        |error| {
+            zenoh.not_ready(format!("the router cannot be reached: {error}"));
+        },
+    );
+    let session = opening.await.map_err(NodeError::new)?;
     zenoh.works();
     let probed = session.clone();
     parts.probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {

@@ -1,7 +1,7 @@
 //! Updates once per second: the power figures on the board, every camera's counters on Zenoh, and the target's step.
 
 use crate::error::NodeError;
-use crate::publishing::{self, Outlet};
+use crate::publishing::{Congestion, Outlet};
 use crate::settings::Settings;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
@@ -12,7 +12,6 @@ use tokio::task::spawn_blocking;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::qos::CongestionControl;
 
 /// The time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -33,10 +32,10 @@ pub(crate) async fn declare(
     shutdown: CancellationToken,
 ) -> Result<impl Future<Output = ()> + use<>, NodeError> {
     let mut outlets = Vec::new();
-    let sent = (CongestionControl::Drop, publishing::COUNTERS);
     for camera in &board.cameras {
         let key = camera.keys.counters();
-        outlets.push(Outlet::declare(session, key, sent, &camera.unpublished).await?);
+        let congestion = Congestion::COUNTERS;
+        outlets.push(Outlet::declare(session, key, congestion, &camera.unpublished).await?);
     }
     let board = Arc::clone(board);
     Ok(run(board, Arc::clone(settings), meter, outlets, shutdown))
@@ -54,7 +53,7 @@ async fn run(
     let mut before = board.totals(meter.snapshot());
     let mut then = Instant::now();
     let mut second = 0_u32;
-    while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
+    while shutdown.run_until_cancelled(ticks.tick()).await.is_some() {
         let totals = board.totals(meter.snapshot());
         let now = Instant::now();
         board.set_power(totals.power.clone());
@@ -63,7 +62,8 @@ async fn run(
             outlet.put(&*message);
         }
         board.step_target(&totals.clone().since(&before), now - then);
-        (before, then) = (totals, now);
+        before = totals;
+        then = now;
         second = second.wrapping_add(1);
         if second.is_multiple_of(KEEP_EVERY) {
             // Not awaited: the disk may stall.

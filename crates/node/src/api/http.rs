@@ -164,7 +164,8 @@ fn changing() -> OpenApiRouter<RouteState> {
 
 /// The node's OpenAPI document, as served at `/openapi.json`.
 pub fn openapi() -> OpenApi {
-    described().1
+    let (_, openapi) = described();
+    openapi
 }
 
 /// What the routes show and change.

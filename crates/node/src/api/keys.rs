@@ -30,6 +30,13 @@ struct Served {
     setting: Setting,
 }
 
+/// What there is to do.
+enum Work {
+    /// Puts have arrived.
+    ApplyPuts,
+    Answer(Request),
+}
+
 /// A query, with its place among the settings that arrived.
 struct Request {
     served: Arc<Served>,
@@ -83,17 +90,17 @@ pub(crate) async fn declare(
         // Dropped, they would undeclare the keys and close the channel.
         let _held = (requests, declared);
         loop {
-            let request = tokio::select! {
-                () = settings.turns.changed.notified() => None,
-                request = waiting.recv() => request,
+            let work = tokio::select! {
+                () = settings.turns.changed.notified() => Work::ApplyPuts,
+                Some(request) = waiting.recv() => Work::Answer(request),
             };
             let board = Arc::clone(&board);
             let settings = Arc::clone(&settings);
-            let answering = tokio::task::spawn_blocking(move || match request {
-                Some(request) => request.answer(&board, &settings),
-                None => settings.apply_puts(),
+            let working = tokio::task::spawn_blocking(move || match work {
+                Work::ApplyPuts => settings.apply_puts(),
+                Work::Answer(request) => request.answer(&board, &settings),
             });
-            if let Err(error) = answering.await {
+            if let Err(error) = working.await {
                 tracing::error!(%error, "request failed");
             }
         }

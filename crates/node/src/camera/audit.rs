@@ -60,6 +60,12 @@ impl AuditConfig {
 /// The result of a drawn frame; `None` if the detector has no time for it or its picture is broken.
 pub(crate) type Examination = BoxFuture<'static, Option<AuditReport>>;
 
+/// An examination that waits or runs, and the number of boxes that were published for its frame.
+struct DrawnFrame {
+    shown: usize,
+    examination: Examination,
+}
+
 type Examine = dyn Fn(EncodedPicture, Vec<OutputBox>, Arc<DetectionsMessage>) -> Examination + Send;
 
 /// One camera's audit: part of the camera's loop. Every drawn frame is counted once, as compared or as missed.
@@ -68,8 +74,8 @@ pub(crate) struct CameraAudit {
     board: Arc<CameraBoard>,
     /// Examines a picture, for which these boxes were published in this message.
     examine: Box<Examine>,
-    /// The number of published boxes and the result of each drawn frame. The first is being examined.
-    drawn: VecDeque<(usize, Examination)>,
+    /// The first is being examined.
+    drawn: VecDeque<DrawnFrame>,
 }
 
 impl CameraAudit {
@@ -105,14 +111,18 @@ impl CameraAudit {
             return self.miss(shown.len());
         }
         let examination = (self.examine)(picture.clone(), shown.to_vec(), Arc::clone(answer));
-        self.drawn.push_back((shown.len(), examination));
+        self.drawn.push_back(DrawnFrame {
+            shown: shown.len(),
+            examination,
+        });
     }
 
     /// Examines the drawn frames one after the other, and waits forever if there are none. Cancel safe: the next call
     /// continues.
     pub(crate) async fn run(&mut self) {
-        while let Some((shown, examination)) = self.drawn.front_mut() {
-            let shown = *shown;
+        while let Some(frame) = self.drawn.front_mut() {
+            let shown = frame.shown;
+            let examination = &mut frame.examination;
             let found = examination.await;
             self.drawn.pop_front();
             match found {
@@ -125,8 +135,8 @@ impl CameraAudit {
 
     /// Gives up the current and the waiting frames: the camera's last clip ends and must include all drawn frames.
     pub(crate) fn give_up(&mut self) {
-        for (shown, _) in std::mem::take(&mut self.drawn) {
-            self.miss(shown);
+        for frame in std::mem::take(&mut self.drawn) {
+            self.miss(frame.shown);
         }
     }
 

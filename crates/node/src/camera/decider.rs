@@ -30,7 +30,7 @@ type Decided = Result<BegunFrame, FrameFault>;
 pub(super) struct Fetched {
     index: u64,
     evidence: LiveEvidence,
-    fetched: Result<(), FrameFault>,
+    result: Result<(), FrameFault>,
 }
 
 impl Decider {
@@ -72,11 +72,11 @@ impl Decider {
         let need = frame.need;
         let picture = frame.incoming.frame.picture.clone();
         self.fetching = Some(Box::pin(async move {
-            let fetched = evidence.fetch(need, &picture).await;
+            let result = evidence.fetch(need, &picture).await;
             Fetched {
                 index,
                 evidence,
-                fetched,
+                result,
             }
         }));
     }
@@ -97,11 +97,11 @@ impl Decider {
         let Fetched {
             index,
             mut evidence,
-            fetched,
+            result,
         } = fetched;
         let waiting = self.pending.as_ref().filter(|frame| frame.incoming.index == index);
         let need = waiting.map(|frame| frame.need);
-        let mut decided = match (need, fetched) {
+        let mut decided = match (need, result) {
             // For a frame that was given up. Another one may be waiting.
             (None, _) => None,
             (Some(need), Ok(())) => self.give(evidence.fetched(need), outcome).map(Ok),
@@ -149,7 +149,8 @@ impl Decider {
             });
             return self.give(Evidence::Unavailable, outcome).map(Ok);
         }
-        self.pending.take().map(|_| Err(fault))
+        self.pending = None;
+        Some(Err(fault))
     }
 
     /// Gives the policy evidence for the pending frame. Returns the frame if it needs nothing more.

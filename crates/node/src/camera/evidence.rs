@@ -95,23 +95,28 @@ impl LiveEvidence {
 
     /// The evidence fetched for `need` of the current frame.
     pub fn fetched(&self, need: Need) -> Evidence<'_> {
-        let known = match need {
-            Need::Nothing => None,
-            Need::Screen => self.current.empty.map(|empty| Evidence::Screen { empty }),
+        match need {
+            Need::Nothing => {}
+            Need::Screen => {
+                if let Some(empty) = self.current.empty {
+                    return Evidence::Screen { empty };
+                }
+            }
             Need::GreyPicture | Need::SmallGreyPicture { .. } => {
-                self.current.frame.grey().map(|grey| {
-                    Evidence::GreyPicture(GreyPicture {
+                if let Some(grey) = self.current.frame.grey() {
+                    return Evidence::GreyPicture(GreyPicture {
                         size: grey.size,
                         pixels: &grey.pixels,
-                    })
-                })
+                    });
+                }
             }
             Need::Detections => {
-                let detected = self.current.detected.as_ref();
-                detected.map(|detected| Evidence::Detections(&detected.output.detections))
+                if let Some(detected) = &self.current.detected {
+                    return Evidence::Detections(&detected.output.detections);
+                }
             }
-        };
-        known.unwrap_or(Evidence::Unavailable)
+        }
+        Evidence::Unavailable
     }
 
     /// Returns the screen's verdict, true if the scene is empty; `None` if it has none or there is no screen.
@@ -135,11 +140,12 @@ impl LiveEvidence {
         };
         let times = &mut self.current.times;
         times.latency.screen = Some(milliseconds(start.elapsed()));
-        Ok(verdict.map(|verdict| {
-            let empty = self.empty_run.limit(verdict.empty);
-            times.overruled = verdict.empty && !empty;
-            empty
-        }))
+        let Some(verdict) = verdict else {
+            return Ok(None);
+        };
+        let empty = self.empty_run.limit(verdict.empty);
+        times.overruled = verdict.empty && !empty;
+        Ok(Some(empty))
     }
 
     /// Returns the detected boxes; `None` if the detector is not available for this frame.

@@ -6,10 +6,11 @@ use crate::camera::audit::Examiner;
 use crate::camera::clip::Clip;
 use crate::camera::clip::tests::report;
 use crate::config::NodeConfig;
+use crate::input::source::SourcePicture;
 use crate::input::{Frame, Pushed};
-use crate::publishing;
+use crate::publishing::Congestion;
 use crate::recorder::Recorder;
-use crate::state::board::{Board, News};
+use crate::state::board::{Board, Event, News};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
@@ -18,12 +19,12 @@ use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::EmptyRun;
-use albireo_wire::{AuditReport, ClipEnd, ClipReport, DetectionsMessage};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, DetectionsMessage, VERSION};
 use futures_util::FutureExt;
 use std::path::Path;
 use std::time::Duration;
+use tokio::sync::broadcast::Receiver;
 use tokio::sync::mpsc::UnboundedReceiver;
-use zenoh::qos::CongestionControl;
 
 pub(super) async fn detector() -> DetectorHandle {
     let model = "../../tests/fixtures/models/boxes.onnx";
@@ -60,6 +61,12 @@ pub(super) fn picture(index: u64) -> EncodedPicture {
     }
 }
 
+#[derive(Clone, Copy, PartialEq)]
+enum Audit {
+    Off,
+    OfEachSkippedFrame,
+}
+
 /// A camera whose frames the test puts into its ring.
 struct Bench {
     board: Arc<Board>,
@@ -69,10 +76,13 @@ struct Bench {
 }
 
 impl Bench {
-    /// A camera under a policy, of whose skipped frames this share is audited.
-    async fn new(policy: &str, share: f64) -> Self {
+    /// A camera under a policy.
+    async fn new(policy: &str, audit: Audit) -> Self {
         let mut config = NodeConfig::default();
-        config.audit.share = share;
+        config.audit.share = match audit {
+            Audit::Off => 0.0,
+            Audit::OfEachSkippedFrame => 1.0,
+        };
         config.policy.select(policy).unwrap();
         Self::of(config).await
     }
@@ -82,11 +92,8 @@ impl Bench {
         let node = PreparedNode::new(&config).unwrap();
         let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
-        let receiver = FrameReceiver::new(
-            config.cameras[0].receiver_settings(config.frame),
-            Arc::clone(&camera.input),
-        );
-        let receiver = Arc::new(receiver);
+        let settings = config.cameras[0].receiver_settings(config.frame);
+        let receiver = Arc::new(FrameReceiver::new(settings, Arc::clone(&camera.input)));
         let detector = detector().await;
         let pixels = pixels(&detector);
         let energy = PowerHandle::none().camera();
@@ -101,8 +108,8 @@ impl Bench {
         let examine =
             move |picture, shown, answer| examiner.clone().examine(picture, shown, answer).boxed();
         let audit = CameraAudit::new(config.audit, Arc::clone(&camera), examine);
-        let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
-        let sent = (CongestionControl::Drop, publishing::LIVE);
+        let session = crate::api::name::tests::session_alone().await;
+        let sent = Congestion::LIVE_ANSWERS;
         let detections = Outlet::declare(
             &session,
             camera.keys.detections(),
@@ -151,6 +158,15 @@ impl Bench {
     }
 }
 
+/// The next answer on the board.
+async fn next_answer(events: &mut Receiver<Arc<Event>>) -> Arc<DetectionsMessage> {
+    loop {
+        if let News::Frame(event) = &events.recv().await.unwrap().news {
+            return Arc::clone(&event.detections);
+        }
+    }
+}
+
 fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
     let pushed = receiver.ring.push(sequenced(index, epoch, received), 0);
     assert!(matches!(pushed, Pushed::Queued));
@@ -178,7 +194,7 @@ fn sequenced(index: u64, epoch: u64, received: Instant) -> SequencedFrame {
         frame,
         index,
         epoch,
-        broken: false,
+        is_broken: false,
         query: None,
     }
 }
@@ -186,7 +202,7 @@ fn sequenced(index: u64, epoch: u64, received: Instant) -> SequencedFrame {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first() {
-    let bench = Bench::new("fixed-skip", 0.0).await;
+    let bench = Bench::new("fixed-skip", Audit::Off).await;
     // The first frame of a stream always calls the detector. The second stream's first frame is missing.
     for (index, epoch) in [(0, 0), (1, 0), (3, 1)] {
         put(&bench.receiver, index, epoch, Instant::now());
@@ -199,7 +215,7 @@ async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first(
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip() {
-    let bench = Bench::new("vanilla", 0.0).await;
+    let bench = Bench::new("vanilla", Audit::Off).await;
     let receiver = &bench.receiver;
     receiver.count_dropped(DropKind::Undecodable, 3, &"broken");
     // The detector was slow, so ten seconds of frames wait: the first is older than the silence that ends a clip.
@@ -210,9 +226,9 @@ async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip()
     let (board, clips) = bench.play().await;
     let snapshot = board.camera("front").unwrap().snapshot();
     assert_eq!(snapshot.states.frames(), 10);
+    assert_eq!(clips.len(), 1);
     let report = &clips[0].report;
-    let ended = (clips.len(), report.frames, report.ended_by);
-    assert_eq!(ended, (1, 10, ClipEnd::Shutdown));
+    assert_eq!((report.frames, report.ended_by), (10, ClipEnd::Shutdown));
     let dropped = &report.dropped;
     assert_eq!((dropped.undecodable, dropped.total()), (3, 3));
     assert_eq!(snapshot.dropped, *dropped);
@@ -233,7 +249,9 @@ fn empty_picture() -> EncodedPicture {
 async fn an_empty_road_is_passed_over_and_the_audit_tells_what_was_missed() {
     let mut config = NodeConfig::default();
     config.audit.share = 1.0;
-    (config.screen.pause_s, config.screen.after_s) = (0.12, 0.16);
+    // Three frames of this camera, and four.
+    config.screen.pause_s = 0.12;
+    config.screen.after_s = 0.16;
     let mut bench = Bench::of(config).await;
     let board = Arc::clone(&bench.board.cameras[0]);
     let mut events = bench.board.subscribe();
@@ -248,11 +266,7 @@ async fn an_empty_road_is_passed_over_and_the_audit_tells_what_was_missed() {
             picture(index)
         };
         put_picture(&bench.receiver, index, picture);
-        while states.len() as u64 <= index {
-            if let News::Frame(event) = &events.recv().await.unwrap().news {
-                states.push(event.detections.state.as_str());
-            }
-        }
+        states.push(next_answer(&mut events).await.state.as_str());
         let skipped = states.iter().filter(|state| matches!(**state, "E" | "P")).count() as u64;
         while board.snapshot().audit.unwrap().sums.drawn() < skipped {
             tokio::task::yield_now().await;
@@ -273,8 +287,8 @@ async fn an_empty_road_is_passed_over_and_the_audit_tells_what_was_missed() {
 }
 
 /// Plays a drive; returns its messages without latencies, and the audit of its report, which must agree with the board.
-async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
-    let mut bench = Bench::new(policy, share).await;
+async fn drive(policy: &str, audit: Audit) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
+    let mut bench = Bench::new(policy, audit).await;
     let board = Arc::clone(&bench.board.cameras[0]);
     let mut events = bench.board.subscribe();
     let stop = CancellationToken::new();
@@ -283,32 +297,32 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut skipped = 0;
     for index in 0..60 {
         put(&bench.receiver, index, 0, Instant::now());
-        let mut message = loop {
-            if let News::Frame(event) = &events.recv().await.unwrap().news {
-                break DetectionsMessage::clone(&event.detections);
-            }
-        };
+        let message = next_answer(&mut events).await;
         skipped += u64::from(message.state.is_skipped());
-        message.latency_ms = Latency::default();
-        published.push(message);
+        published.push(DetectionsMessage {
+            latency_ms: Latency::default(),
+            ..(*message).clone()
+        });
         // Each drawn frame is audited before the next arrives, as if the detector had time.
-        while share >= 1.0 && board.snapshot().audit.unwrap().sums.drawn() < skipped {
+        while audit == Audit::OfEachSkippedFrame
+            && board.snapshot().audit.unwrap().sums.drawn() < skipped
+        {
             tokio::task::yield_now().await;
         }
     }
     stop.cancel();
     camera.await.unwrap();
-    let audit = report(bench.clips.recv().await.unwrap()).await.audit;
+    let reported = report(bench.clips.recv().await.unwrap()).await.audit;
     let counts = |audit: &AuditReport| (audit.sums, audit.calls);
     let counted = board.snapshot().audit;
-    assert_eq!(audit.as_ref().map(counts), counted.as_ref().map(counts));
-    (published, audit)
+    assert_eq!(reported.as_ref().map(counts), counted.as_ref().map(counts));
+    (published, reported)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_switch_of_the_policy_loses_no_frame_and_each_report_names_the_policy_of_its_frames() {
-    let bench = Bench::new("albireo:1e-3", 1.0).await;
+    let bench = Bench::new("albireo:1e-3", Audit::OfEachSkippedFrame).await;
     let board = Arc::clone(&bench.board);
     let receiver = Arc::clone(&bench.receiver);
     let mut clips = bench.clips;
@@ -322,12 +336,9 @@ async fn a_switch_of_the_policy_loses_no_frame_and_each_report_names_the_policy_
             board.switch_policy(policy);
         }
         put(&receiver, index, 0, Instant::now());
-        while thresholds.len() as u64 <= index {
-            if let News::Frame(event) = &events.recv().await.unwrap().news {
-                assert_eq!(event.detections.seq, index);
-                thresholds.push(event.detections.threshold.unwrap().name);
-            }
-        }
+        let message = next_answer(&mut events).await;
+        assert_eq!(message.seq, index);
+        thresholds.push(message.threshold.unwrap().name);
     }
     stop.cancel();
     camera.await.unwrap();
@@ -338,30 +349,32 @@ async fn a_switch_of_the_policy_loses_no_frame_and_each_report_names_the_policy_
     let reports = [clips.recv().await.unwrap(), clips.recv().await.unwrap()];
     assert!(clips.recv().await.is_none());
     let [before, after] = reports.map(|clip| clip.report);
-    let told = |report: &ClipReport| (report.policy.clone(), report.part, report.frames);
-    assert_eq!(told(&before), ("albireo".to_owned(), 0, 25));
-    assert_eq!(told(&after), ("expected-loss".to_owned(), 1, 35));
+    assert_eq!((before.policy.as_str(), before.part), ("albireo", 0));
+    assert_eq!((after.policy.as_str(), after.part), ("expected-loss", 1));
+    assert_eq!((before.frames, after.frames), (25, 35));
     assert_eq!(before.ended_by, ClipEnd::Policy);
     // What was drawn under a policy is in its report, and shown as its own.
-    let sums = |report: &ClipReport| report.audit.as_ref().unwrap().sums.drawn();
+    let drawn = |report: &ClipReport| report.audit.as_ref().unwrap().sums.drawn();
     let skipped = |report: &ClipReport| report.states.skipped(report.degraded_frames);
-    assert_eq!(sums(&before), skipped(&before));
-    assert_eq!(sums(&after), skipped(&after));
-    assert_eq!(snapshot.policy_audit.unwrap().sums.drawn(), sums(&after));
-    assert_eq!(
-        snapshot.audit.unwrap().sums.drawn(),
-        sums(&before) + sums(&after)
-    );
+    assert_eq!(drawn(&before), skipped(&before));
+    assert_eq!(drawn(&after), skipped(&after));
+    assert_eq!(snapshot.policy_audit.unwrap().sums.drawn(), drawn(&after));
+    let drawn_in_all = drawn(&before) + drawn(&after);
+    assert_eq!(snapshot.audit.unwrap().sums.drawn(), drawn_in_all);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn the_detector_does_not_see_broken_pictures_and_they_are_answered_by_prediction() {
     // Asks the detector for every frame.
-    let bench = Bench::new("vanilla", 0.0).await;
+    let bench = Bench::new("vanilla", Audit::Off).await;
     for index in 0..9 {
-        let broken = (3..6).contains(&index);
-        bench.receiver.take_picture(Ok(picture(index)), index == 0, broken, None);
+        bench.receiver.take_picture(SourcePicture {
+            picture: Ok(picture(index)),
+            is_reopened: index == 0,
+            is_broken: (3..6).contains(&index),
+            recorded: None,
+        });
     }
     let (board, _) = bench.play().await;
     let shown = board.camera("front").unwrap().snapshot();
@@ -374,11 +387,11 @@ async fn the_detector_does_not_see_broken_pictures_and_they_are_answered_by_pred
 #[ignore = "needs ONNX Runtime"]
 async fn objects_are_forgotten_once_pictures_have_been_broken_for_seconds() {
     for (blind_s, is_reported) in [(1, true), (3, false)] {
-        let bench = Bench::new("albireo:1e-3", 0.0).await;
+        let bench = Bench::new("albireo:1e-3", Audit::Off).await;
         let begun = Instant::now();
         for (index, seconds) in [(0, 0), (1, 0), (2, 0), (3, blind_s)] {
             let mut frame = sequenced(index, 0, begun + Duration::from_secs(seconds));
-            frame.broken = index > 1;
+            frame.is_broken = index > 1;
             bench.receiver.ring.push(frame, 0);
         }
         let (board, _) = bench.play().await;
@@ -392,8 +405,8 @@ async fn objects_are_forgotten_once_pictures_have_been_broken_for_seconds() {
 #[ignore = "needs ONNX Runtime"]
 async fn the_audit_changes_no_bit_of_published_messages() {
     for policy in ["albireo:1e-3", "expected-loss:0.6"] {
-        let (without, none) = drive(policy, 0.0).await;
-        let (with, audit) = drive(policy, 1.0).await;
+        let (without, none) = drive(policy, Audit::Off).await;
+        let (with, audit) = drive(policy, Audit::OfEachSkippedFrame).await;
         assert!(none.is_none());
         assert_eq!(without, with, "{policy}");
         let skipped = with.iter().filter(|frame| frame.state.is_skipped());
@@ -403,9 +416,10 @@ async fn the_audit_changes_no_bit_of_published_messages() {
         assert!(skipped > 10, "{policy}: {skipped}");
         let audit = audit.unwrap();
         let sums = &audit.sums;
-        let calls = audit.calls;
-        let found = (sums.frames, sums.missed, sums.shown, calls);
-        assert_eq!(found, (skipped, 0, shown as u64, skipped), "{policy}");
+        assert_eq!(sums.frames, skipped, "{policy}");
+        assert_eq!(audit.calls, skipped, "{policy}");
+        assert_eq!(sums.missed, 0, "{policy}");
+        assert_eq!(sums.shown, shown as u64, "{policy}");
         assert!(audit.detector_us > 0);
         // Low in this scene: at 0.6 `expected-loss` shows 5 of its 29 boxes, as a comparison on every frame confirms.
         let recall = audit.sums.recall().unwrap();
@@ -414,27 +428,23 @@ async fn the_audit_changes_no_bit_of_published_messages() {
     }
 }
 
-pub(crate) fn answer(
-    seq: u64,
-    state: FrameState,
-    degraded: bool,
-    threshold: Option<Threshold>,
-) -> Arc<DetectionsMessage> {
-    Arc::new(DetectionsMessage {
-        v: 1,
+/// The final answer of a frame without boxes and threshold.
+pub(crate) fn answer(seq: u64, state: FrameState) -> DetectionsMessage {
+    DetectionsMessage {
+        v: VERSION,
         seq,
         t_ns: 0,
         clip: "c".to_owned(),
         state,
         pending: false,
-        degraded,
+        degraded: false,
         cause: (state != FrameState::E).then_some(CallCause::Uncertain),
         passed: None,
         tau_max: Some(1e-4),
-        threshold,
+        threshold: None,
         width: 4,
         height: 3,
         boxes: Vec::new(),
         latency_ms: Latency::default(),
-    })
+    }
 }

@@ -33,9 +33,14 @@ pub struct ArrivalCounts {
 
 impl Arrivals {
     /// Counts a frame.
-    pub(crate) fn frame(&self, broken: bool) {
+    pub(crate) fn frame(&self, is_broken: bool) {
         self.frames.fetch_add(1, Ordering::Relaxed);
-        self.broken.fetch_add(u64::from(broken), Ordering::Relaxed);
+        self.broken.fetch_add(u64::from(is_broken), Ordering::Relaxed);
+    }
+
+    /// Counts a frame of a camera whose decoder nobody hears.
+    pub(crate) fn whole_frame(&self) {
+        self.frame(false);
     }
 
     /// Counts a complaint of the decoder.

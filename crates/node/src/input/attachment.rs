@@ -61,9 +61,10 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
         return None;
     }
     // A restarted publisher has another id, and numbers from the start.
-    let stream = sender.last_chunk::<16>().map(|id| {
-        let id = u128::from_le_bytes(*id);
-        (id >> 64) as u64 ^ id as u64
+    let stream = sender.last_chunk::<16>().map(|bytes| {
+        let id = u128::from_le_bytes(*bytes);
+        let upper_half = (id >> 64) as u64;
+        upper_half ^ id as u64
     });
     Some(FrameAttachment {
         seq: Some(u64::try_from(sequence).ok()?),

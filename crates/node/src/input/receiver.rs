@@ -3,13 +3,13 @@
 
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
-use super::source::Recorded;
+use super::source::SourcePicture;
 use super::{Delivery, Frame, FrameNumber, InputCounter, PayloadFormat, Pushed, Ring};
 use crate::frame::LatestFrame;
 use albireo_core::geometry::BoundingBox;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::rate_limit::RateLimit;
-use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits, Mount};
+use albireo_vision::picture::{FrameFault, FrameLimits, Mount};
 use albireo_wire::{DropKind, FrameAnswer, VERSION};
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -43,7 +43,7 @@ pub(crate) struct SequencedFrame {
     /// unusable.
     pub epoch: u64,
     /// True if what it shows is not to be trusted: its source's decoder has complained since the last whole key frame.
-    pub broken: bool,
+    pub is_broken: bool,
     /// The frame's query, if it came as one: its sender waits for the [answer](FrameReceiver::answer), given when the
     /// frame is taken from the ring, before it sends the next frame.
     pub query: Option<Query>,
@@ -95,6 +95,28 @@ pub(crate) struct FrameReceiver {
 /// The camera's number of a sample, and the frame, if it is usable.
 type NumberedFrame = (FrameNumber, Result<Frame, FrameFault>);
 
+/// How a frame came.
+struct Origin {
+    /// The query by which it came, if it did.
+    query: Option<Query>,
+    /// True if what it shows is not to be trusted.
+    is_broken: bool,
+}
+
+impl Origin {
+    const PUT: Self = Self {
+        query: None,
+        is_broken: false,
+    };
+
+    fn query(query: Query) -> Self {
+        Self {
+            query: Some(query),
+            ..Self::PUT
+        }
+    }
+}
+
 /// A frame that will not be processed.
 struct Refused {
     kind: DropKind,
@@ -126,17 +148,15 @@ impl FrameReceiver {
 
     /// Receives a frame that came as a put.
     pub(crate) fn take(&self, sample: &Sample) {
-        self.counter.arrivals.frame(false);
-        self.place(None, false, |arrival| self.read(sample.into(), arrival));
+        self.counter.arrivals.whole_frame();
+        self.place(Origin::PUT, |arrival| self.read(sample.into(), arrival));
     }
 
     /// Receives a frame that came as a query. If there is no room, the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
-        let waiting = Some(query.clone());
-        self.counter.arrivals.frame(false);
-        self.place(waiting, false, |arrival| {
-            self.read((&query).into(), arrival)
-        });
+        let origin = Origin::query(query.clone());
+        self.counter.arrivals.whole_frame();
+        self.place(origin, |arrival| self.read((&query).into(), arrival));
     }
 
     /// Answers the sender of a frame that came as a query: the frame's turn has come, or the reason it will not be
@@ -169,25 +189,22 @@ impl FrameReceiver {
         read_frame(raw, self.settings.format, &self.settings.limits)
     }
 
-    /// Receives a picture of a source that the node reads itself. `reopened` is true for the first picture after the
-    /// source was opened: what happened in between is unknown. A `broken` picture is not given to the detector. A `recorded`
-    /// one has the time and the clip of its recording.
-    pub(crate) fn take_picture(
-        &self,
-        picture: Result<EncodedPicture, FrameFault>,
-        reopened: bool,
-        broken: bool,
-        recorded: Option<Recorded>,
-    ) {
-        let (time_ns, clip) = match recorded {
+    /// Receives a picture of a source that the node reads itself. A broken one is not given to the detector; a recorded one
+    /// has the time and the clip of its recording.
+    pub(crate) fn take_picture(&self, taken: SourcePicture) {
+        let (time_ns, clip) = match taken.recorded {
             Some(recorded) => (recorded.time_ns, Some(recorded.drive)),
             None => (None, None),
         };
-        if reopened {
+        if taken.is_reopened {
             self.stream.lock().epoch += 1;
         }
-        self.place(None, broken, |arrival| {
-            let frame = picture.map(|picture| Frame {
+        let origin = Origin {
+            query: None,
+            is_broken: taken.is_broken,
+        };
+        self.place(origin, |arrival| {
+            let frame = taken.picture.map(|picture| Frame {
                 sequence: arrival,
                 time_ns: time_ns.unwrap_or_else(unix_nanoseconds),
                 clip,
@@ -199,22 +216,28 @@ impl FrameReceiver {
         });
     }
 
-    /// Records that the publisher of a stream appeared or left.
-    pub(crate) fn publisher_changed(&self, stream: u64, gone: bool) {
-        self.stream.lock().tracker.publisher_changed(stream, gone);
+    /// Records that the publisher of a stream appeared.
+    pub(crate) fn publisher_came(&self, stream: u64) {
+        self.stream.lock().tracker.publisher_came(stream);
+    }
+
+    /// Records that the publisher of a stream left.
+    pub(crate) fn publisher_left(&self, stream: u64) {
+        self.stream.lock().tracker.publisher_left(stream);
     }
 
     /// Numbers the result of `read` and puts it into the ring.
-    fn place(&self, query: Option<Query>, broken: bool, read: impl FnOnce(u64) -> NumberedFrame) {
+    fn place(&self, origin: Origin, read: impl FnOnce(u64) -> NumberedFrame) {
         // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
         // threads.
         let mut stream = self.stream.lock();
+        let query = origin.query.clone();
         if let Some(query) = &query
             && !self.ring.has_room(query.payload().map_or(0, ZBytes::len))
         {
             return;
         }
-        let placed = match self.admit(&mut stream, query.clone(), broken, read) {
+        let placed = match self.admit(&mut stream, origin, read) {
             Ok(frame) => self.push(frame),
             Err(refused) => Err(refused),
         };
@@ -233,8 +256,7 @@ impl FrameReceiver {
     fn admit(
         &self,
         stream: &mut StreamState,
-        query: Option<Query>,
-        broken: bool,
+        origin: Origin,
         read: impl FnOnce(u64) -> NumberedFrame,
     ) -> Result<SequencedFrame, Refused> {
         let (number, read) = read(stream.arrivals);
@@ -282,8 +304,8 @@ impl FrameReceiver {
                     frame,
                     index,
                     epoch: stream.epoch,
-                    broken,
-                    query,
+                    is_broken: origin.is_broken,
+                    query: origin.query,
                 })
             }
         }

@@ -134,7 +134,8 @@ mod tests {
     /// In these tests numbers stand for frames, of as many bytes.
     fn ring(items: usize, newest_wins: bool) -> Ring<u32> {
         let mut ring = Ring::new(Delivery::Newest, items, 0);
-        (ring.most_bytes, ring.newest_wins) = (1000, newest_wins);
+        ring.most_bytes = 1000;
+        ring.newest_wins = newest_wins;
         ring
     }
 

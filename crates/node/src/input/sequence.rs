@@ -134,7 +134,7 @@ struct Stream {
     /// The mean time between its frames, once there are two.
     period: Option<Duration>,
     /// True once its publisher has left.
-    ended: bool,
+    has_ended: bool,
 }
 
 impl Stream {
@@ -152,7 +152,7 @@ impl Stream {
 
     fn is_over(&self, now: Instant) -> bool {
         let patience = self.period.unwrap_or_default().saturating_mul(5);
-        self.ended || now.saturating_duration_since(self.newest) >= patience.max(SILENCE)
+        self.has_ended || now.saturating_duration_since(self.newest) >= patience.max(SILENCE)
     }
 
     /// True if a number this much larger than another may follow it without any confirmation.
@@ -332,7 +332,11 @@ impl SequenceTracker {
             && above > 0
         {
             return match present.forward(number, above, now) {
-                Forward::Continues(advance) => self.new_frame(advance, false),
+                Forward::Continues(advance) => Arrival::New {
+                    index: self.next_index(advance.frames),
+                    lost: advance.lost,
+                    restarted: false,
+                },
                 Forward::Begins => self.begin(number, Some(above), now),
                 Forward::Unconfirmed => Arrival::Stray,
             };
@@ -353,13 +357,22 @@ impl SequenceTracker {
         }
     }
 
-    /// Records that the publisher of a stream appeared or left.
-    pub(crate) fn publisher_changed(&mut self, stream: u64, gone: bool) {
-        if let Some(present) = &mut self.present
-            && present.id == Some(stream)
-        {
-            present.ended = gone;
+    /// Records that the publisher of a stream appeared.
+    pub(crate) fn publisher_came(&mut self, stream: u64) {
+        if let Some(present) = self.present_with_id(stream) {
+            present.has_ended = false;
         }
+    }
+
+    /// Records that the publisher of a stream left.
+    pub(crate) fn publisher_left(&mut self, stream: u64) {
+        if let Some(present) = self.present_with_id(stream) {
+            present.has_ended = true;
+        }
+    }
+
+    fn present_with_id(&mut self, id: u64) -> Option<&mut Stream> {
+        self.present.as_mut().filter(|present| present.id == Some(id))
     }
 
     /// Begins a stream with this number, which is `ahead` of the highest of the present stream, if that is known.
@@ -377,25 +390,24 @@ impl SequenceTracker {
             unusable: 0,
             newest: now,
             period: None,
-            ended: false,
+            has_ended: false,
         });
-        let first = Advance { frames: 1, lost: 0 };
-        self.new_frame(first, restarted)
+        Arrival::New {
+            index: self.next_index(1),
+            lost: 0,
+            restarted,
+        }
     }
 
-    fn new_frame(&mut self, advance: Advance, restarted: bool) -> Arrival {
-        let Advance { frames, lost } = advance;
+    /// Moves on by so many frames; returns the place of the newest, which is 0 for the first.
+    fn next_index(&mut self, frames: i128) -> u64 {
         let frames = u64::try_from(frames).unwrap_or(u64::MAX);
         let index = match self.index {
             Some(newest) => newest.saturating_add(frames),
             None => 0,
         };
         self.index = Some(index);
-        Arrival::New {
-            index,
-            lost,
-            restarted,
-        }
+        index
     }
 }
 

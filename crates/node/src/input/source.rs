@@ -12,7 +12,7 @@
 //! | `messages` | what such a program says: why it fails, which pictures are broken |
 //! | `files` | several video files as one source |
 //! | `login` | which logins a camera takes that has refused one |
-//! | `live` | a source that is reopened whenever it ends |
+//! | `live` | a source that is reopened whenever it ends, and in `live/reading` how it is read once |
 
 mod address;
 mod ffmpeg;
@@ -28,7 +28,7 @@ mod settings;
 
 pub use address::{SourceAddress, SourceKind};
 pub use files::Recorded;
-pub use live::{LiveSource, SourceEvent};
+pub use live::{LiveSource, SourceEvent, SourcePicture};
 pub use options::SourceOptions;
 pub(crate) use program::FIRST_PICTURE;
 pub use settings::{RtspTransport, SourceSettings};

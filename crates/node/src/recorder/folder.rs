@@ -18,6 +18,13 @@ pub(super) struct Folder {
     keep: Duration,
 }
 
+/// What is in the folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FolderContent {
+    pub recordings: u64,
+    pub bytes: u64,
+}
+
 /// A recording in the folder.
 struct Recording {
     path: PathBuf,
@@ -64,34 +71,36 @@ impl Folder {
     }
 
     /// Deletes what is too old, and then the oldest until what is there fits; never an `open` one, for which there is room
-    /// until it has `largest` bytes. Returns the number of recordings left and their bytes.
+    /// until it has `largest` bytes. Returns what is left.
     pub(super) fn tidy(
         &self,
         open: &[&Path],
         largest: u64,
         now: SystemTime,
-    ) -> IoResult<(u64, u64)> {
+    ) -> IoResult<FolderContent> {
         let mut recordings = self.recordings()?;
         // The oldest first; of the same age in the order of names.
         recordings
             .sort_by(|one, other| (one.changed, &one.path).cmp(&(other.changed, &other.path)));
-        let mut left = recordings.len() as u64;
-        let mut bytes: u64 = recordings.iter().map(|recording| recording.bytes).sum();
+        let mut left = FolderContent {
+            recordings: recordings.len() as u64,
+            bytes: recordings.iter().map(|recording| recording.bytes).sum(),
+        };
         let is_open = |recording: &&Recording| open.contains(&&*recording.path);
         let growth = |recording: &Recording| largest.saturating_sub(recording.bytes);
         let room: u64 = recordings.iter().filter(is_open).map(growth).sum();
         for recording in recordings.iter().filter(|recording| !is_open(recording)) {
             let age = now.duration_since(recording.changed).unwrap_or_default();
-            if age <= self.keep && bytes + room <= self.max_bytes {
+            if age <= self.keep && left.bytes + room <= self.max_bytes {
                 continue;
             }
             remove_file(&recording.path)?;
-            left -= 1;
-            bytes -= recording.bytes;
+            left.recordings -= 1;
+            left.bytes -= recording.bytes;
             let file = recording.path.display();
             tracing::debug!(%file, "an old recording was deleted");
         }
-        Ok((left, bytes))
+        Ok(left)
     }
 
     /// The recordings in the folder, by their names: nothing else is touched.
@@ -160,8 +169,8 @@ mod tests {
         for other in ["holiday.mcap", "2026-11-28T110850.123Z_front.txt"] {
             write(place.path().join(other), [0; 1000]).unwrap();
         }
-        let (left, bytes) = folder.tidy(&[&paths[1]], 1400, now).unwrap();
-        assert_eq!((left, bytes), (2, 2000));
+        let left = folder.tidy(&[&paths[1]], 1400, now).unwrap();
+        assert_eq!((left.recordings, left.bytes), (2, 2000));
         let kept = names(place.path());
         assert_eq!(kept.len(), 4, "{kept:?}");
         assert!(!paths[0].exists(), "it is too old");

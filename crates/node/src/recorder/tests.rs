@@ -45,7 +45,7 @@ fn audit(seq: u64) -> AuditMessage {
 /// Gives a recorder the frames of these seconds after `start`, one in each.
 fn frames(camera: &CameraRecorder, start: Instant, seconds: std::ops::Range<u64>) {
     for second in seconds {
-        let message = answer(second, FrameState::P, false, None);
+        let message = Arc::new(answer(second, FrameState::P));
         camera.frame(
             &picture(1000),
             &message,
@@ -83,7 +83,7 @@ fn recorded(folder: &Path, camera: &str, topic: Topic) -> Vec<usize> {
 async fn an_event_keeps_the_frames_before_and_after_it_of_the_cameras_it_is_about() {
     let folder = tempfile::tempdir().unwrap();
     let recorder = recorder(&config(folder.path()));
-    recorder.start(FrameLimits::default(), false).unwrap();
+    recorder.start(FrameLimits::default(), PictureMemory::Own).unwrap();
     let cameras = [0, 1].map(|camera| Arc::clone(&recorder).of_camera(camera));
     let start = Instant::now();
     for camera in &cameras {
@@ -120,7 +120,7 @@ async fn every_frame_is_recorded_if_that_is_asked_and_old_files_make_room() {
         ..config(folder.path())
     };
     let recorder = recorder(&config);
-    recorder.start(FrameLimits::default(), false).unwrap();
+    recorder.start(FrameLimits::default(), PictureMemory::Own).unwrap();
     let camera = Arc::clone(&recorder).of_camera(0);
     let limit = 30_000_000;
     let mut given = 0;
@@ -128,7 +128,7 @@ async fn every_frame_is_recorded_if_that_is_asked_and_old_files_make_room() {
         let before = recorder.status().written_frames;
         camera.frame(
             &picture(500_000),
-            &answer(0, FrameState::P, false, None),
+            &Arc::new(answer(0, FrameState::P)),
             None,
             Instant::now(),
         );
@@ -158,7 +158,7 @@ async fn a_frame_of_the_audit_is_kept_alone_if_nothing_around_it_is_wanted() {
         ..config(folder.path())
     };
     let recorder = recorder(&config);
-    recorder.start(FrameLimits::default(), false).unwrap();
+    recorder.start(FrameLimits::default(), PictureMemory::Own).unwrap();
     let camera = Arc::clone(&recorder).of_camera(1);
     assert!(camera.wants_audited());
     for seq in 0..3 {
@@ -185,7 +185,7 @@ async fn the_audit_keeps_what_surrounds_its_frame_if_that_is_wanted() {
         ..config(folder.path())
     };
     let recorder = recorder(&config);
-    recorder.start(FrameLimits::default(), false).unwrap();
+    recorder.start(FrameLimits::default(), PictureMemory::Own).unwrap();
     let camera = Arc::clone(&recorder).of_camera(0);
     let start = Instant::now();
     frames(&camera, start, 0..5);
@@ -204,7 +204,8 @@ fn a_writer_that_is_behind_writes_one_file_for_one_event() {
     let names = ["front".to_owned()];
     let counts = Arc::default();
     let limits = FrameLimits::default();
-    let mut writer = Writer::new(&config, &recordings, &names, limits, false, counts);
+    let memory = PictureMemory::Own;
+    let mut writer = Writer::new(&config, &recordings, &names, limits, memory, counts);
     let begun = Instant::now() - Duration::from_secs(60);
     writer.take(Order::Event {
         camera: None,
@@ -227,7 +228,7 @@ fn held(bytes: usize, start: Instant, second: u64) -> RecordedFrame {
         camera: 0,
         at: start + Duration::from_secs(second),
         picture: picture(bytes),
-        detections: answer(second, FrameState::P, false, None),
+        detections: Arc::new(answer(second, FrameState::P)),
         position: None,
     }
 }
@@ -236,19 +237,21 @@ fn held(bytes: usize, start: Instant, second: u64) -> RecordedFrame {
 fn what_is_older_than_wanted_is_not_kept_and_what_memory_lacks_is_told() {
     let start = Instant::now();
     let seconds = Duration::from_secs;
-    let mut window = Window::new(seconds(10), seconds(0), false);
+    let mut window = Window::around_events(seconds(10), seconds(0));
     for second in 0..5 {
         assert!(window.frame(held(1000, start, second)).is_none());
     }
-    let (frames, short) = window.event(start + seconds(13));
-    assert_eq!((frames.len(), short), (2, None), "of seconds 3 and 4");
+    let before = window.event(start + seconds(13));
+    assert_eq!(before.frames.len(), 2, "of seconds 3 and 4");
+    assert_eq!(before.shortened_to, None);
 
     let large = MOST_HELD_BYTES / 2;
     for second in 20..25 {
         assert!(window.frame(held(large, start, second)).is_none());
     }
-    let (frames, short) = window.event(start + seconds(25));
-    assert_eq!((frames.len(), short), (2, Some(seconds(2))));
+    let before = window.event(start + seconds(25));
+    assert_eq!(before.frames.len(), 2);
+    assert_eq!(before.shortened_to, Some(seconds(2)));
 }
 
 #[tokio::test]
@@ -268,7 +271,7 @@ async fn a_full_queue_and_a_broken_disk_are_counted_and_told_and_nobody_waits() 
     let fault = recorder.fault().unwrap().reason;
     assert!(fault.contains("too slow"), "{fault}");
 
-    recorder.start(FrameLimits::default(), false).unwrap();
+    recorder.start(FrameLimits::default(), PictureMemory::Own).unwrap();
     recorder.stop().await;
     assert_eq!(recorder.status().failed_frames, MOST_WAITING as u64);
     let fault = recorder.fault().unwrap().reason;
@@ -281,7 +284,7 @@ fn pictures_that_wait_are_bounded_by_their_bytes_too() {
     let folder = tempfile::tempdir().unwrap();
     let recorder = recorder(&config(folder.path()));
     let camera = Arc::clone(&recorder).of_camera(0);
-    let message = answer(0, FrameState::P, false, None);
+    let message = Arc::new(answer(0, FrameState::P));
     for _ in 0..10 {
         camera.frame(
             &picture(MOST_WAITING_BYTES / 4),

@@ -12,7 +12,8 @@ pub(super) const MOST_HELD_BYTES: usize = 64 << 20;
 pub(super) struct Window {
     before: Duration,
     after: Duration,
-    always: bool,
+    /// True if every frame is recorded, and not those around events alone.
+    is_always: bool,
     held: VecDeque<RecordedFrame>,
     held_bytes: usize,
     /// True if frames went for want of memory, before their time.
@@ -20,16 +21,32 @@ pub(super) struct Window {
     until: Option<Instant>,
 }
 
+/// The frames before an event, which are to be recorded.
+pub(super) struct FramesBefore {
+    pub frames: VecDeque<RecordedFrame>,
+    /// For how long before the event there are some, if memory held fewer than were wanted.
+    pub shortened_to: Option<Duration>,
+}
+
 impl Window {
-    pub(super) const fn new(before: Duration, after: Duration, always: bool) -> Self {
+    /// Records the frames around events.
+    pub(super) const fn around_events(before: Duration, after: Duration) -> Self {
         Self {
             before,
             after,
-            always,
+            is_always: false,
             held: VecDeque::new(),
             held_bytes: 0,
             is_short: false,
             until: None,
+        }
+    }
+
+    /// Records every frame.
+    pub(super) fn always(before: Duration, after: Duration) -> Self {
+        Self {
+            is_always: true,
+            ..Self::around_events(before, after)
         }
     }
 
@@ -46,11 +63,12 @@ impl Window {
         let oldest = frame.at.checked_sub(self.before);
         self.held_bytes += frame.picture.bytes.len();
         self.held.push_back(frame);
-        while let Some(first) = self.held.front()
-            && (self.before.is_zero()
-                || self.held_bytes > MOST_HELD_BYTES
-                || oldest.is_some_and(|oldest| first.at < oldest))
-        {
+        while let Some(first) = self.held.front() {
+            let is_too_old = oldest.is_some_and(|oldest| first.at < oldest);
+            let has_room = self.held_bytes <= MOST_HELD_BYTES;
+            if !self.before.is_zero() && !is_too_old && has_room {
+                break;
+            }
             self.is_short =
                 !self.before.is_zero() && oldest.is_some_and(|oldest| first.at >= oldest);
             self.held_bytes -= first.picture.bytes.len();
@@ -59,33 +77,38 @@ impl Window {
         None
     }
 
-    /// An event at this time. Returns the frames before it, which are to be recorded, and for how long before it there are
-    /// some if memory held fewer than were wanted.
-    pub(super) fn event(&mut self, at: Instant) -> (VecDeque<RecordedFrame>, Option<Duration>) {
+    /// An event at this time.
+    pub(super) fn event(&mut self, at: Instant) -> FramesBefore {
         if !self.has_length() {
-            return (VecDeque::new(), None);
+            return FramesBefore {
+                frames: VecDeque::new(),
+                shortened_to: None,
+            };
         }
         let until = at + self.after;
         self.until = Some(self.until.map_or(until, |before| before.max(until)));
         let oldest = at.checked_sub(self.before);
         self.held_bytes = 0;
-        let mut held = std::mem::take(&mut self.held);
-        held.retain(|frame| oldest.is_none_or(|oldest| frame.at >= oldest));
-        let is_short = std::mem::take(&mut self.is_short);
-        let held_for = match held.front() {
-            Some(first) if is_short => Some(at.saturating_duration_since(first.at)),
+        let mut frames = std::mem::take(&mut self.held);
+        frames.retain(|frame| oldest.is_none_or(|oldest| frame.at >= oldest));
+        let shortened_to = match frames.front() {
+            Some(first) if self.is_short => Some(at.saturating_duration_since(first.at)),
             _ => None,
         };
-        (held, held_for)
+        self.is_short = false;
+        FramesBefore {
+            frames,
+            shortened_to,
+        }
     }
 
     /// True if a frame of this time is recorded.
     pub(super) fn is_recording(&self, at: Instant) -> bool {
-        self.always || self.until.is_some_and(|until| at <= until)
+        self.is_always || self.until.is_some_and(|until| at <= until)
     }
 
     /// True if recordings have a length: without one, only frames of the audit are recorded.
     pub(super) fn has_length(&self) -> bool {
-        self.always || !(self.before + self.after).is_zero()
+        self.is_always || !self.before.is_zero() || !self.after.is_zero()
     }
 }

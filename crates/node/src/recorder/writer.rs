@@ -2,7 +2,9 @@
 
 use super::folder::Folder;
 use super::window::{MOST_HELD_BYTES, Window};
-use super::{LOG_PERIOD, Occasion, Order, RecordConfig, RecordedFrame, RecorderCounts};
+use super::{
+    LOG_PERIOD, Occasion, Order, PictureMemory, RecordConfig, RecordedFrame, RecorderCounts,
+};
 use albireo_recording::{EventMessage, RecordingError, RecordingFile};
 use albireo_service::rate_limit::RateLimit;
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits, PictureFormat, to_jpeg};
@@ -15,13 +17,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime};
 
-/// A file ends when it is as large or as old as this, and the next one begins.
+/// A file ends when it is as large as this, and the next one begins.
 const LARGEST: u64 = 256 << 20;
+/// A file ends when it is as old as this.
 const OLDEST: Duration = Duration::from_secs(600);
 /// No file takes more than this part of what all cameras may take, so that there is always an old one to delete.
 const PART_OF_ALL: u64 = 4;
 
-/// What was recorded since is lost in a power cut.
+/// How often the disk is waited for: what was recorded since is lost in a power cut.
 const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// How often old recordings are deleted, and a disk that has failed is tried again.
 const TIDY_EVERY: Duration = Duration::from_secs(5);
@@ -31,8 +34,7 @@ pub(super) struct Writer {
     cameras: Vec<CameraWriter>,
     folder: Folder,
     limits: FrameLimits,
-    /// True if pictures are in memory that their senders want back.
-    copies: bool,
+    memory: PictureMemory,
     largest: u64,
     counts: Arc<Mutex<RecorderCounts>>,
     /// The time from which a disk that has failed is tried again.
@@ -64,15 +66,19 @@ impl Writer {
         folder: &Path,
         cameras: &[String],
         limits: FrameLimits,
-        copies: bool,
+        memory: PictureMemory,
         counts: Arc<Mutex<RecorderCounts>>,
     ) -> Self {
         let before = Duration::from_secs_f64(config.before_s);
         let after = Duration::from_secs_f64(config.after_s);
-        let always = config.when.contains(&Occasion::Always);
+        let is_always = config.when.contains(&Occasion::Always);
         let camera = |name: &String| CameraWriter {
             name: name.clone(),
-            window: Window::new(before, after, always),
+            window: if is_always {
+                Window::always(before, after)
+            } else {
+                Window::around_events(before, after)
+            },
             file: None,
             reasons: Vec::new(),
         };
@@ -83,7 +89,7 @@ impl Writer {
             cameras: cameras.iter().map(camera).collect(),
             folder: Folder::new(folder, max_bytes, keep),
             limits,
-            copies,
+            memory,
             largest: LARGEST.min(share),
             counts,
             retry_at: None,
@@ -104,7 +110,9 @@ impl Writer {
             match orders.recv_timeout(KEEP_EVERY) {
                 Ok(order) => {
                     let bytes = order.bytes();
-                    reached = order.at().map_or(reached, |at| at.max(reached));
+                    if let Some(at) = order.at() {
+                        reached = reached.max(at);
+                    }
                     self.take(order);
                     waiting.fetch_sub(bytes, Ordering::Relaxed);
                 }
@@ -180,17 +188,17 @@ impl Writer {
 
     /// Begins or prolongs a recording, with the frames before it.
     fn begin(&mut self, camera: usize, at: Instant, event: EventMessage) {
-        let (before, short) = self.cameras[camera].window.event(at);
-        if let Some(held) = short {
+        let before = self.cameras[camera].window.event(at);
+        if let Some(held) = before.shortened_to {
             self.say_short(camera, held);
         }
-        for frame in &before {
+        for frame in &before.frames {
             self.write(frame);
         }
-        let written = &mut self.cameras[camera];
-        if written.file.is_none() {
+        let CameraWriter { file, reasons, .. } = &mut self.cameras[camera];
+        if file.is_none() {
             // Written with the next frame: a camera without frames has no recording.
-            written.reasons.push(event);
+            reasons.push(event);
         } else {
             self.put(camera, |file, name| file.event(name, &event));
         }
@@ -212,7 +220,7 @@ impl Writer {
     fn jpeg(&self, picture: &EncodedPicture) -> Result<EncodedPicture, FrameFault> {
         let mut bytes = to_jpeg(picture, &self.limits)?;
         let is_same = bytes.as_ptr() == picture.bytes.as_ptr();
-        if self.copies && is_same {
+        if self.memory == PictureMemory::Lent && is_same {
             bytes = Bytes::copy_from_slice(&bytes);
         }
         Ok(EncodedPicture {
@@ -253,10 +261,13 @@ impl Writer {
             return false;
         }
         let is_new = self.cameras[camera].file.is_none();
-        let done = self.open(camera).and_then(|(file, name)| {
-            file.is_changed = true;
-            write(&mut file.file, name)
-        });
+        let done = match self.open(camera) {
+            Ok((open, name)) => {
+                open.is_changed = true;
+                write(&mut open.file, name)
+            }
+            Err(error) => Err(error),
+        };
         let is_done = done.is_ok();
         if !is_done {
             self.counts.lock().shown.failed_frames += 1;
@@ -318,7 +329,8 @@ impl Writer {
             let Some(open) = file else { continue };
             if is_over {
                 self.end_file(camera);
-            } else if std::mem::take(&mut open.is_changed) {
+            } else if open.is_changed {
+                open.is_changed = false;
                 let kept = open.file.keep();
                 if kept.is_err() {
                     *file = None;
@@ -344,10 +356,10 @@ impl Writer {
         let open_files = self.cameras.iter().filter_map(|camera| camera.file.as_ref());
         let open: Vec<&Path> = open_files.map(|open| open.path.as_path()).collect();
         match self.folder.tidy(&open, self.largest, SystemTime::now()) {
-            Ok((files, bytes)) => {
+            Ok(left) => {
                 let shown = &mut self.counts.lock().shown;
-                shown.files = files;
-                shown.bytes = bytes;
+                shown.files = left.recordings;
+                shown.bytes = left.bytes;
             }
             Err(error) => self.judge(Err(error.into())),
         }

@@ -139,25 +139,30 @@ impl SettingsFile {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeptValues::default()),
             read => read?,
         };
-        parse(&bytes).or_else(|error| {
-            let aside = file.with_extension("json.damaged");
-            tracing::error!(
-                file = %file.display(), error, aside = %aside.display(),
-                "kept settings are damaged and were set aside; the configured ones are used"
-            );
-            self.disk.lock().damaged = Some(Instant::now());
-            std::fs::rename(&file, aside).map(|()| KeptValues::default())
-        })
+        let error = match parse(&bytes) {
+            Ok(values) => return Ok(values),
+            Err(error) => error,
+        };
+        let aside = file.with_extension("json.damaged");
+        tracing::error!(
+            file = %file.display(), error, aside = %aside.display(),
+            "kept settings are damaged and were set aside; the configured ones are used"
+        );
+        self.disk.lock().damaged = Some(Instant::now());
+        std::fs::rename(&file, aside)?;
+        Ok(KeptValues::default())
     }
 
     /// The setting kept under `name`.
     pub(crate) fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
         let value = self.values.lock().0.get(name)?.clone();
-        serde_json::from_value(value)
-            .inspect_err(|error| {
+        match serde_json::from_value(value) {
+            Ok(setting) => Some(setting),
+            Err(error) => {
                 tracing::warn!(name, %error, "a kept setting cannot be read and is not used");
-            })
-            .ok()
+                None
+            }
+        }
     }
 
     /// The value last kept under `name` and its source. If the configured value was edited since, that takes precedence,
@@ -232,13 +237,12 @@ fn parse(bytes: &[u8]) -> Result<KeptValues, String> {
 
 /// The file with these settings: its first key is the checksum of what follows it.
 fn text(values: &KeptValues) -> std::io::Result<String> {
-    let values = serde_json::to_string(values)?;
-    let comma = if values.len() > 2 { "\"," } else { "\"" };
-    let rest = format!("{comma}{}", values.trim_start_matches('{'));
-    Ok(format!(
-        "{CHECKSUM}{:08x}{rest}",
-        crc32fast::hash(rest.as_bytes())
-    ))
+    let json = serde_json::to_string(values)?;
+    // Behind the checksum its closing quote, and a comma if a setting follows.
+    let begin = if json == "{}" { "\"" } else { "\"," };
+    let rest = format!("{begin}{}", json.trim_start_matches('{'));
+    let checksum = crc32fast::hash(rest.as_bytes());
+    Ok(format!("{CHECKSUM}{checksum:08x}{rest}"))
 }
 
 /// Writes a new file beside the old one, syncs it, and then replaces the old one.

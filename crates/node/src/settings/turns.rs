@@ -95,7 +95,7 @@ pub(crate) struct Turns {
     /// Held while a setting is applied and its file is written: no async worker locks it.
     turn: Mutex<()>,
     /// When each setting last arrived by HTTP or from the hub, by its name.
-    set: Mutex<BTreeMap<String, SystemTime>>,
+    set_at: Mutex<BTreeMap<String, SystemTime>>,
     /// Notified for each put.
     pub(crate) changed: Notify,
     refused: RateLimit,
@@ -106,7 +106,7 @@ impl Default for Turns {
         Self {
             arrived: Mutex::default(),
             turn: Mutex::default(),
-            set: Mutex::default(),
+            set_at: Mutex::default(),
             changed: Notify::new(),
             refused: RateLimit::new(LOG_PERIOD),
         }
@@ -146,8 +146,8 @@ impl Turns {
     /// By how much a put is older than the same setting by HTTP or from the hub: it was still on its way when that arrived,
     /// and must not take its place.
     fn overtaken_by(&self, put: &Put) -> Option<Duration> {
-        let set = *self.set.lock().get(&put.setting.name())?;
-        let older = set.duration_since(put.made?).ok()?;
+        let set_at = *self.set_at.lock().get(&put.setting.name())?;
+        let older = set_at.duration_since(put.made?).ok()?;
         (older > Duration::ZERO && older <= LONGEST_WAY).then_some(older)
     }
 
@@ -211,7 +211,7 @@ impl Settings {
                 (set, transaction.names())
             });
             let times = names.into_iter().map(|name| (name, place.at));
-            self.turns.set.lock().extend(times);
+            self.turns.set_at.lock().extend(times);
             set
         })
     }

@@ -13,8 +13,8 @@ use crate::input::receiver::FrameReceiver;
 use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
 use crate::outbox::Outbox;
 use crate::publishing::ros2::{Ros2Outlet, Ros2Place};
-use crate::publishing::{self, Outlet};
-use crate::recorder::Recorder;
+use crate::publishing::{self, Congestion, Outlet};
+use crate::recorder::{PictureMemory, Recorder};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::MinConfidence;
@@ -62,9 +62,13 @@ impl SharedParts {
         self: &Arc<Self>,
         tasks: &mut Supervisor,
     ) -> Result<Subscriptions, NodeError> {
-        // Before the cameras, whose frames it records. A sender wants pictures in shared memory back.
-        let copies = self.config.zenoh.shared_memory;
-        let started = self.recorder.start(self.config.frame, copies);
+        let memory = if self.config.zenoh.shared_memory {
+            PictureMemory::Lent
+        } else {
+            PictureMemory::Own
+        };
+        // Before the cameras, whose frames it records.
+        let started = self.recorder.start(self.config.frame, memory);
         started.map_err(NodeError::of("[record]"))?;
         let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in
@@ -134,11 +138,12 @@ impl SharedParts {
     ) -> Result<CameraParts, NodeError> {
         let keys = &board.keys;
         // A replay must not lose any answer.
-        let sent = match config.delivery {
-            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
-            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
+        let congestion = match config.delivery {
+            Delivery::Newest => Congestion::LIVE_ANSWERS,
+            Delivery::Every => Congestion::EVERY_ANSWER,
         };
-        let outlet = |key: String| Outlet::declare(&self.session, key, sent, &board.unpublished);
+        let outlet =
+            |key: String| Outlet::declare(&self.session, key, congestion, &board.unpublished);
         let detections = outlet(keys.detections()).await?;
         let late = match self.config.answer_time(config) {
             AnswerTime::WhenKnown => None,
@@ -227,8 +232,12 @@ impl SharedParts {
             .liveliness()
             .declare_subscriber(stream_token(key, "*"))
             .callback(move |token| {
-                if let Some(stream) = stream_of_token(token.key_expr().as_str()) {
-                    publishers.publisher_changed(stream, token.kind() == SampleKind::Delete);
+                let Some(stream) = stream_of_token(token.key_expr().as_str()) else {
+                    return;
+                };
+                match token.kind() {
+                    SampleKind::Put => publishers.publisher_came(stream),
+                    SampleKind::Delete => publishers.publisher_left(stream),
                 }
             })
             .await
@@ -253,23 +262,18 @@ impl SharedParts {
     ) -> Result<(), NodeError> {
         // On a blocking thread, because it runs the programs to read their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
-        let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
-        let source = source.counting(Arc::clone(&board.input.arrivals));
+        let found = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
+        let source = found.counting(Arc::clone(&board.input.arrivals));
         let name = board.name();
         let readiness = &self.board.readiness;
         let part = readiness.part_of(readiness::CAMERAS, name);
         let named = name.to_owned();
         let each = move |event| match event {
-            SourceEvent::Picture {
-                picture,
-                reopened,
-                broken,
-                recorded,
-            } => {
-                if reopened && picture.is_ok() {
+            SourceEvent::Picture(taken) => {
+                if taken.is_reopened && taken.picture.is_ok() {
                     part.works();
                 }
-                receiver.take_picture(picture, reopened, broken, recorded);
+                receiver.take_picture(taken);
             }
             SourceEvent::PassedOver(file) => {
                 tracing::warn!(camera = named, "passed over {file}");

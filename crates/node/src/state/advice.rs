@@ -50,7 +50,7 @@ pub struct SkipWatch {
     threshold: Option<Threshold>,
     frames: u64,
     followed: u64,
-    skipped: bool,
+    has_skipped: bool,
     taus: Vec<f64>,
 }
 
@@ -64,11 +64,11 @@ impl SkipWatch {
                 ..Self::default()
             };
         }
-        if message.degraded || self.skipped {
+        if message.degraded || self.has_skipped {
             return false;
         }
-        let before = self.is_clear();
-        self.skipped = message.state.is_skipped();
+        let was_clear = self.is_clear();
+        self.has_skipped = message.state.is_skipped();
         self.frames += 1;
         if message.tau_max.is_some() || !message.boxes.is_empty() {
             self.followed += 1;
@@ -78,11 +78,11 @@ impl SkipWatch {
         {
             self.taus.push(tau);
         }
-        self.is_clear() && !before
+        self.is_clear() && !was_clear
     }
 
     fn is_clear(&self) -> bool {
-        !self.skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
+        !self.has_skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
     }
 
     /// Suggests a value, if it is clear that nothing is skipped and `spec` can change that.
@@ -96,7 +96,7 @@ impl SkipWatch {
 
     /// Like [`Self::advice`], from any number of frames: for a finished clip.
     pub fn advice_so_far(&self, spec: &ThresholdSpec) -> Option<Advice> {
-        if self.skipped || self.followed == 0 {
+        if self.has_skipped || self.followed == 0 {
             return None;
         }
         self.attempt(spec)
@@ -155,9 +155,11 @@ mod tests {
         value: f64,
         tau: f64,
     ) -> bool {
-        let threshold = Some(Threshold::new(spec.name, value));
-        let mut message = DetectionsMessage::clone(&answer(0, state, false, threshold));
-        message.tau_max = Some(tau).filter(|tau| *tau > 0.0);
+        let message = DetectionsMessage {
+            threshold: Some(Threshold::new(spec.name, value)),
+            tau_max: if tau > 0.0 { Some(tau) } else { None },
+            ..answer(0, state)
+        };
         watch.count(&message)
     }
 
@@ -174,16 +176,19 @@ mod tests {
     fn a_policy_that_skips_nothing_gets_a_value_that_would_skip() {
         let spec = Albireo::THRESHOLD;
         let mut watch = SkipWatch::default();
-        let given = (0..400_u32).filter(|frame| {
+        let mut became_clear_at = Vec::new();
+        for frame in 0..400_u32 {
             let tau = 1.9e-4 + 1e-6 * f64::from(frame % 10);
-            count(&mut watch, FrameState::I, &spec, 1e-4, tau)
-        });
-        assert_eq!(given.collect::<Vec<_>>(), [299], "once");
+            if count(&mut watch, FrameState::I, &spec, 1e-4, tau) {
+                became_clear_at.push(frame);
+            }
+        }
+        assert_eq!(became_clear_at, [299], "once");
         assert_eq!(
             watch.advice(&spec).unwrap().to_string(),
             "no frame of 400 was skipped, although objects were tracked in 400 of them; try u = 2e-4 (it is 1e-4)"
         );
-        // Turned, it is another matter; and one skipped frame is enough to be silent.
+        // A changed threshold begins again, and one skipped frame is enough to be silent.
         count(&mut watch, FrameState::P, &spec, 2e-4, 1.9e-4);
         for _ in 0..400 {
             count(&mut watch, FrameState::I, &spec, 2e-4, 3e-4);

@@ -11,8 +11,8 @@ mod screen;
 mod sightings;
 mod threshold;
 
-pub(crate) use camera::CameraSetup;
 pub use camera::{CameraBoard, CameraSnapshot};
+pub(crate) use camera::{CameraSetup, UnreportedCounts};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use forwarded::{Forwarded, ForwardedCounts};

@@ -79,6 +79,14 @@ pub(crate) const PARTS: [&str; 14] = [
     TASKS,
 ];
 
+/// What the service manager gets to know.
+pub(crate) struct ManagerState {
+    /// The node's health.
+    pub health: HealthStatus,
+    /// Why the service manager should restart the node, if it should.
+    pub stuck: Option<String>,
+}
+
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
 /// `stuck_after_s` seconds counts as stuck, so that the service manager restarts the node; the loss of this process's
 /// GPU does so at once. A detector that `builds_engine` is not stuck.
@@ -87,21 +95,18 @@ pub(crate) fn service_state(
     detector: &ModelStatus,
     stuck_after_s: f64,
     builds_engine: bool,
-) -> (HealthStatus, Option<String>) {
+) -> ManagerState {
     let health = readiness.health();
     let lost = match detector {
         ModelStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
         _ => None,
     };
     // The detector starts once the session is open: until then, the session is the cause. TensorRT may need a quarter of an
-    // hour for an engine, and would begin anew after a restart.
-    let may_take_long = *detector == ModelStatus::Starting
-        && (builds_engine
-            || health
-                .faults
-                .iter()
-                .any(|fault| fault.part == ZENOH && fault.subject.is_empty()));
-    let stuck = health.faults.iter().find(|fault| {
+    // hour for an engine, and would begin again after a restart.
+    let mut faults = health.faults.iter();
+    let waits_for_session = faults.any(|fault| fault.part == ZENOH && fault.subject.is_empty());
+    let may_take_long = *detector == ModelStatus::Starting && (builds_engine || waits_for_session);
+    let lasting = health.faults.iter().find(|fault| {
         let own = match fault.part {
             DETECTOR => !may_take_long,
             TASKS => true,
@@ -110,8 +115,11 @@ pub(crate) fn service_state(
         };
         own && fault.fault.effect == HealthState::NotReady && fault.since_s >= stuck_after_s
     });
-    let stuck = stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason));
-    (health.status(), lost.or(stuck))
+    let lasting = lasting.map(|fault| format!("{}: {}", fault.part, fault.fault.reason));
+    ManagerState {
+        health: health.status(),
+        stuck: lost.or(lasting),
+    }
 }
 
 /// The fault of the node if the detector has this status: without the detector there are only predictions.
@@ -183,13 +191,16 @@ mod tests {
     use super::*;
     use albireo_vision::detector::ExecutionProvider;
 
+    const BUILDS_ENGINE: bool = true;
+    const NO_ENGINE: bool = false;
+
     #[tokio::test(start_paused = true)]
     async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
         let limit_s = limit.as_secs_f64();
-        let state = |status: &ModelStatus| service_state(&readiness, status, limit_s, false);
-        let stuck = |status: &ModelStatus| state(status).1.unwrap_or_default();
+        let state = |status: &ModelStatus| service_state(&readiness, status, limit_s, NO_ENGINE);
+        let stuck = |status: &ModelStatus| state(status).stuck.unwrap_or_default();
         let starting = ModelStatus::Starting;
         let failed = ModelStatus::Degraded {
             reason: "the run does not come back".to_owned(),
@@ -197,17 +208,17 @@ mod tests {
         };
         let detector = readiness.part(DETECTOR);
         detector.not_ready("it is broken");
-        assert_eq!(state(&starting).0.state, HealthState::NotReady);
+        assert_eq!(state(&starting).health.state, HealthState::NotReady);
         tokio::time::advance(Duration::from_secs(59)).await;
         assert_eq!(stuck(&starting), "");
         tokio::time::advance(Duration::from_secs(1)).await;
         assert_eq!(stuck(&starting), "detector: it is broken");
         // TensorRT's engine takes as long as it takes.
         tokio::time::advance(100 * limit).await;
-        let building = service_state(&readiness, &starting, limit_s, true);
-        assert_eq!(building.1, None);
-        let broken = service_state(&readiness, &failed, limit_s, true);
-        assert_eq!(broken.1.as_deref(), Some("detector: it is broken"));
+        let building = service_state(&readiness, &starting, limit_s, BUILDS_ENGINE);
+        assert_eq!(building.stuck, None);
+        let broken = service_state(&readiness, &failed, limit_s, BUILDS_ENGINE);
+        assert_eq!(broken.stuck.as_deref(), Some("detector: it is broken"));
 
         // A node that waits for its router has not got as far as its detector.
         let zenoh = readiness.part(ZENOH);
@@ -221,7 +232,7 @@ mod tests {
         let session = readiness.part_of(ZENOH, ZENOH_SESSION);
         session.not_ready("it is closed");
         assert_eq!(stuck(&starting), "detector: it is broken");
-        detector.degraded("of no matter");
+        detector.degraded("does not matter");
         assert_eq!(stuck(&failed), "");
         tokio::time::advance(limit).await;
         assert_eq!(stuck(&failed), "zenoh: it is closed");
@@ -229,9 +240,10 @@ mod tests {
         session.works();
         readiness.part(UPLINK).degraded("the hub is away");
         tokio::time::advance(limit).await;
-        let (health, stuck) = state(&failed);
-        assert_eq!((health.state, stuck), (HealthState::Degraded, None));
-        let reasons = health.text();
+        let state = state(&failed);
+        assert_eq!(state.health.state, HealthState::Degraded);
+        assert_eq!(state.stuck, None);
+        let reasons = state.health.text();
         assert!(reasons.contains("uplink: the hub is away"), "{reasons}");
     }
 
@@ -241,8 +253,8 @@ mod tests {
             reason: "the GPU is lost to this process".to_owned(),
             provider: ExecutionProvider::Cuda,
         };
-        let (_, stuck) = service_state(&Readiness::default(), &lost, 900.0, true);
-        let stuck = stuck.unwrap();
+        let state = service_state(&Readiness::default(), &lost, 900.0, BUILDS_ENGINE);
+        let stuck = state.stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();
         assert_eq!(fault.effect, HealthState::NotReady);

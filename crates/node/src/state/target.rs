@@ -31,8 +31,29 @@ pub struct TargetConfig {
     pub most: Option<f64>,
 }
 
-/// The target, and the threshold when it was kept.
-pub(crate) type KeptTarget = (Option<Target>, Option<Threshold>);
+/// What is kept of a target over a restart, in the file a list of two.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(
+    from = "(Option<Target>, Option<Threshold>)",
+    into = "(Option<Target>, Option<Threshold>)"
+)]
+pub(crate) struct KeptTarget {
+    target: Option<Target>,
+    /// The threshold when it was kept.
+    threshold: Option<Threshold>,
+}
+
+impl From<(Option<Target>, Option<Threshold>)> for KeptTarget {
+    fn from((target, threshold): (Option<Target>, Option<Threshold>)) -> Self {
+        Self { target, threshold }
+    }
+}
+
+impl From<KeptTarget> for (Option<Target>, Option<Threshold>) {
+    fn from(kept: KeptTarget) -> Self {
+        (kept.target, kept.threshold)
+    }
+}
 
 #[derive(Debug)]
 struct Held {
@@ -79,17 +100,17 @@ impl NodeTarget {
     /// is logged, and its report says why.
     pub(crate) fn begin(&self, kept: Option<(KeptTarget, SettingSource)>, first: Option<f64>) {
         let mut held = self.held.lock();
-        let Some(((target, kept_threshold), source)) = kept else {
+        let Some((kept, source)) = kept else {
             held.begin(self.config.hold, first);
             held.source = SettingSource::Configuration;
             return;
         };
         // What was kept may be the threshold of another policy.
-        let place = match (kept_threshold, held.spec) {
+        let place = match (kept.threshold, held.spec) {
             (Some(threshold), Some(spec)) => threshold.value_of(&spec).ok(),
             _ => None,
         };
-        held.begin(target, place.or(first));
+        held.begin(kept.target, place.or(first));
         held.source = source;
     }
 
@@ -165,9 +186,9 @@ impl NodeTarget {
         };
         let before = controller.threshold();
         let now = controller.step(measured);
-        let first = held.last.is_none();
+        let is_first = held.last.is_none();
         held.last = Some(now);
-        if first || now.threshold != before {
+        if is_first || now.threshold != before {
             apply(now.threshold);
         }
     }
@@ -190,12 +211,17 @@ impl NodeTarget {
     pub(crate) fn report(&self) -> TargetReport {
         let held = self.held.lock();
         let last = held.last;
+        let range = if held.controller.is_some() {
+            held.range.clone().ok()
+        } else {
+            None
+        };
         TargetReport {
             v: VERSION,
             target: held.target(),
             source: held.source,
             off: held.off.clone(),
-            range: held.controller.as_ref().and_then(|_| held.range.clone().ok()),
+            range,
             threshold: held.threshold(),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
@@ -205,7 +231,11 @@ impl NodeTarget {
     /// What is to be kept of it for a restart, and its source.
     pub(crate) fn kept(&self) -> (KeptTarget, SettingSource) {
         let held = self.held.lock();
-        ((held.target(), held.threshold()), held.source)
+        let kept = KeptTarget {
+            target: held.target(),
+            threshold: held.threshold(),
+        };
+        (kept, held.source)
     }
 
     /// The configured target.
@@ -260,7 +290,8 @@ impl Held {
 
     /// The threshold that the controller wants.
     fn threshold(&self) -> Option<Threshold> {
-        let (spec, controller) = self.spec.as_ref().zip(self.controller.as_ref())?;
+        let spec = self.spec.as_ref()?;
+        let controller = self.controller.as_ref()?;
         Some(Threshold::new(spec.name, controller.threshold()))
     }
 }
@@ -298,12 +329,12 @@ impl Board {
         };
         self.target.step(&measured, |value| {
             for camera in &self.cameras {
-                let near = camera
-                    .threshold()
-                    .is_some_and(|there| (value / there).ln().abs() < LEAST_CHANGE);
-                if !near {
-                    camera.move_threshold(value);
+                if let Some(present) = camera.threshold()
+                    && (value / present).ln().abs() < LEAST_CHANGE
+                {
+                    continue;
                 }
+                camera.move_threshold(value);
             }
         });
     }

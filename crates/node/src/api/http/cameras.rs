@@ -82,12 +82,20 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
     let unusable = snapshot.unusable();
     let latest = snapshot.latest.as_ref();
     let picture = latest.map(|latest| PictureSize::new(latest.width, latest.height));
+    let key = if source.is_none() {
+        Some(camera.key.clone())
+    } else {
+        None
+    };
+    let threshold_spec = camera.threshold_spec();
+    let set_by = if threshold_spec.is_some() {
+        Some(camera.threshold_source())
+    } else {
+        None
+    };
     CameraEntry {
         states: states::of(camera, &snapshot),
-        key: match source {
-            Some(_) => None,
-            None => Some(camera.key.clone()),
-        },
+        key,
         source,
         unusable: unusable.is_some(),
         fault: unusable.or(fault),
@@ -103,8 +111,8 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
         policy: board.policy().name,
-        set_by: camera.threshold_spec().map(|_| camera.threshold_source()),
-        threshold_spec: camera.threshold_spec(),
+        set_by,
+        threshold_spec,
         advice: camera.advice(),
     }
 }

@@ -15,6 +15,7 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{Instant, sleep_until};
 use utoipa::IntoParams;
 
@@ -23,8 +24,9 @@ const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
 /// The maximum number of concurrent picture streams of a node: each holds a connection and some pictures.
 pub(super) const MOST_VIEWERS: usize = 16;
-/// Pictures per second of a stream, at most and by default.
+/// The most pictures per second of a stream.
 const MOST_RATE: usize = 30;
+/// Pictures per second of a stream by default.
 const USUAL_RATE: usize = 10;
 /// The line between two pictures of a stream. It follows each picture at once: browsers show a picture when they read it.
 const BOUNDARY: &str = "--frame\r\n";
@@ -149,21 +151,16 @@ pub(super) async fn mjpeg(
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
     let shutdown = shared.shutdown.clone().cancelled_owned();
-    let reader = (shared, answered, Instant::now(), place);
-    let parts = stream::unfold(reader, move |mut reader| async move {
-        let (shared, answered, next, _place) = &mut reader;
-        loop {
-            answered.changed().await.ok()?;
-            sleep_until(*next).await;
-            let Some(frame) = answered.borrow_and_update().clone() else {
-                continue;
-            };
-            *next = Instant::now() + pause;
-            // A picture that cannot be decoded is counted where its frame is.
-            if let Ok(file) = draw(shared, &frame).await {
-                return Some((part(frame.seq(), &file), reader));
-            }
-        }
+    let viewer = Viewer {
+        shared,
+        answered,
+        next_at: Instant::now(),
+        pause,
+        _place: place,
+    };
+    let parts = stream::unfold(viewer, |mut viewer| async move {
+        let part = viewer.next().await?;
+        Some((part, viewer))
     });
     let first = stream::once(std::future::ready(Bytes::from_static(BOUNDARY.as_bytes())));
     let parts = first.chain(parts).take_until(shutdown);
@@ -173,6 +170,35 @@ pub(super) async fn mjpeg(
     ];
     let body = Body::from_stream(parts.map(Ok::<_, Infallible>));
     Ok((headers, body).into_response())
+}
+
+/// The reader of a picture stream.
+struct Viewer {
+    shared: RouteState,
+    answered: watch::Receiver<Option<Arc<AnsweredFrame>>>,
+    /// The earliest time of its next picture.
+    next_at: Instant,
+    pause: Duration,
+    /// Its place among the readers, given up when the stream is dropped.
+    _place: OwnedSemaphorePermit,
+}
+
+impl Viewer {
+    /// The next part of the stream; `None` at its end.
+    async fn next(&mut self) -> Option<Bytes> {
+        loop {
+            self.answered.changed().await.ok()?;
+            sleep_until(self.next_at).await;
+            let Some(frame) = self.answered.borrow_and_update().clone() else {
+                continue;
+            };
+            self.next_at = Instant::now() + self.pause;
+            // A picture that cannot be decoded is counted where its frame is.
+            if let Ok(file) = draw(&self.shared, &frame).await {
+                return Some(part(frame.seq(), &file));
+            }
+        }
+    }
 }
 
 /// One part of a stream, with the boundary that ends it.

@@ -38,16 +38,20 @@ pub(super) struct PolicyInForce {
 fn in_force(shared: &RouteState) -> PolicyInForce {
     let board = &shared.board;
     let policy = board.policy();
-    let pause = board.empty_road().pause_s > 0.0 && !policy.takes_pause;
-    let pause = pause.then(|| format!("screen.pause_s is set, but {}", no_pause(policy.name)));
-    let target = board.target.not_under_this_policy();
-    let target = target.map(|off| format!("no target is held: {off}"));
+    let mut notes = Vec::new();
+    if board.empty_road().pause_s > 0.0 && !policy.takes_pause {
+        let reason = no_pause(policy.name);
+        notes.push(format!("screen.pause_s is set, but {reason}"));
+    }
+    if let Some(off) = board.target.not_under_this_policy() {
+        notes.push(format!("no target is held: {off}"));
+    }
     PolicyInForce {
         name: policy.name,
         threshold: policy.spec.map(|spec| spec.name),
         configured: board.configured_policy().name,
         survives_restart: shared.settings.survive_restart(),
-        notes: pause.into_iter().chain(target).collect(),
+        notes,
         policies: known_policies().collect(),
     }
 }

@@ -42,20 +42,26 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<RecordingStatu
 /// The status of the recordings, with what keeps one camera's or all cameras' frames away.
 fn status(shared: &RouteState, camera: Option<usize>) -> RecordingStatus {
     let mut status = shared.recorder.status();
-    if status.folder.is_some() {
-        let wanted = shared.board.cameras.iter().enumerate();
-        let wanted = wanted.filter(|(place, _)| camera.is_none_or(|camera| camera == *place));
-        let silent: Vec<_> = wanted
-            .filter(|(_, camera)| camera.snapshot().last_frame_age().is_none_or(|age| age > SILENT))
-            .map(|(_, camera)| camera.name())
-            .collect();
-        status.missing = (!silent.is_empty()).then(|| {
-            format!(
-                "no frames come from {}: nothing is recorded until they do; /readyz says why, and a camera without `source` \
-                 needs a sender, such as `albireo replay`",
-                silent.join(", ")
-            )
-        });
+    if status.folder.is_none() {
+        return status;
+    }
+    let cameras = &shared.board.cameras;
+    let wanted = match camera {
+        Some(place) => &cameras[place..=place],
+        None => cameras.as_slice(),
+    };
+    let mut silent = Vec::new();
+    for camera in wanted {
+        if camera.snapshot().last_frame_age().is_none_or(|age| age > SILENT) {
+            silent.push(camera.name());
+        }
+    }
+    if !silent.is_empty() {
+        let names = silent.join(", ");
+        status.missing = Some(format!(
+            "no frames come from {names}: nothing is recorded until they do; /readyz says why, and a camera without `source` \
+             needs a sender, such as `albireo replay`"
+        ));
     }
     status
 }

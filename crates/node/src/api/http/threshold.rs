@@ -100,10 +100,12 @@ async fn put(
         let absent = InvalidThreshold::Absent { policy }.to_string();
         return Err(Problem::new(StatusCode::CONFLICT, absent));
     };
-    let name = spec.name;
-    let default = short(spec.default);
-    let range = spec.range();
-    let expected = format!("a JSON object such as {{\"{name}\": {default}}} with {range}");
+    let expected = format!(
+        "a JSON object such as {{\"{}\": {}}} with {}",
+        spec.name,
+        short(spec.default),
+        spec.range()
+    );
     let fault = |what: &dyn Display| {
         let detail = format!("the body must be {expected}: {what}");
         Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail).with_threshold_spec(spec)

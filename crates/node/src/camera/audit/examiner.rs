@@ -41,12 +41,16 @@ impl Examiner {
         published: Arc<DetectionsMessage>,
     ) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
-        let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
+        let Ok(Some(turn)) = timeout_at(until, self.detector.spare_turn()).await else {
+            return None;
+        };
         // Only now that the detector is free: most pictures are never decoded.
-        let prepared = self.pixels.prepared(picture.clone()).await;
-        let answer = timeout_at(until, self.detector.detect_spare(turn, prepared?)).await;
+        let prepared = self.pixels.prepared(picture.clone()).await?;
         // The detector counts and logs its failures itself.
-        let mut detected = answer.ok()?.ok()?;
+        let detecting = self.detector.detect_spare(turn, prepared);
+        let Ok(Ok(mut detected)) = timeout_at(until, detecting).await else {
+            return None;
+        };
         let detections = &mut detected.output.detections;
         detections.retain(|found| !picture.hides(found.bounding_box));
         self.energy.detector_called(Instant::now(), detected.took);

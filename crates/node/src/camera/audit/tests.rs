@@ -30,11 +30,14 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         async { examination.await.unwrap() }.boxed()
     });
     let done = |found| examined.lock().pop_front().unwrap().send(found).is_ok();
+    // Drawn, missed, examined.
     let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
-    let taken = || counts(&board.cameras[0].take_unreported().1);
-    let answer = answer(0, FrameState::P, false, None);
+    let taken = || counts(&board.cameras[0].take_unreported().audit);
+    let answer = Arc::new(answer(0, FrameState::P));
     let offer = |audit: &mut CameraAudit| audit.offer(0, &picture(0), &[], &answer);
-    (0..5).for_each(|_| offer(&mut audit));
+    for _ in 0..5 {
+        offer(&mut audit);
+    }
     // One frame is examined and two wait; there is no room for the others.
     assert_eq!(taken(), (2, 2, 0));
     for found in [Some(compared()), None, Some(compared())] {
@@ -45,7 +48,9 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     assert_eq!(taken(), (3, 1, 2));
 
     // When the camera ends, one frame is being examined and one waits; neither result is counted.
-    (0..2).for_each(|_| offer(&mut audit));
+    for _ in 0..2 {
+        offer(&mut audit);
+    }
     assert!(audit.run().now_or_never().is_none());
     audit.give_up();
     for _ in 0..2 {

@@ -28,15 +28,15 @@ pub(crate) struct Clip {
     /// answer, if later.
     pub end: Instant,
     /// Latencies from reception to publication, milliseconds. Clips are reported in parts, which bounds their number.
-    pub total: Vec<f32>,
-    /// Latencies of the detector, for the frames on which it ran.
-    pub detector: Vec<f32>,
+    pub total_ms: Vec<f32>,
+    /// Latencies of the detector, for the frames on which it ran, milliseconds.
+    pub detector_ms: Vec<f32>,
     /// Its running energy measurement.
     pub energy: Measurement,
     /// The camera's name for it, or `window-N`.
     pub name: Arc<str>,
     /// True if the camera does not name it.
-    pub windowed: bool,
+    pub is_window: bool,
     /// The arrival of its first frame.
     pub first_arrival: Instant,
     /// The arrival of its last frame.
@@ -46,7 +46,7 @@ pub(crate) struct Clip {
     /// The number of frames that have arrived.
     pub arrivals: u64,
     /// True while one of its frames waits for its final answer.
-    pub pending: bool,
+    pub is_pending: bool,
     /// Its way, once a frame had a position.
     pub(super) travel: Option<Travel>,
 }
@@ -72,12 +72,13 @@ impl Clip {
         report.frames += 1;
         report.states.count(frame.detections.state);
         report.degraded_frames += u64::from(frame.detections.degraded);
-        self.total.push(milliseconds(frame.first_answer) as f32);
-        if let Some(detector) = frame.times.latency.detector {
-            self.detector.push(detector as f32);
+        self.total_ms.push(milliseconds(frame.first_answer) as f32);
+        if let Some(detector_ms) = frame.times.latency.detector {
+            self.detector_ms.push(detector_ms as f32);
         }
-        let run = frame.times.detector_run;
-        report.detector_used_ms += run.map_or(0.0, |run| milliseconds(run.used));
+        if let Some(run) = frame.times.detector_run {
+            report.detector_used_ms += milliseconds(run.used);
+        }
     }
 
     pub(super) fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {
@@ -121,8 +122,8 @@ impl Clip {
             travel: travel.map(Travel::report),
             duration_s: duration.as_secs_f64(),
             skip_rate: report.states.skip_rate(report.degraded_frames),
-            total_latency_ms: percentiles(self.total),
-            detector_latency_ms: percentiles(self.detector),
+            total_latency_ms: percentiles(self.total_ms),
+            detector_latency_ms: percentiles(self.detector_ms),
             energy: ClipEnergy {
                 edp: energy_delay_product(&measured.energy, duration, report.frames),
                 ..measured.energy

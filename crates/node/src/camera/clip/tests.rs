@@ -1,11 +1,12 @@
 use super::*;
 use crate::camera::answer;
-use crate::frame::FrameRecord;
-use crate::frame::Times;
+use crate::frame::{FrameRecord, Times};
+use crate::state::board::UnreportedCounts;
 use albireo_core::policy::{Albireo, FrameState};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, Values};
-use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};
+use albireo_wire::{AuditReport, ClipReport, DetectionsMessage, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -105,14 +106,18 @@ impl Camera {
         self.seq += 1;
         let arrival = self.at(at);
         let closed = self.tracker.arrive(at * 1_000_000, clip, arrival);
-        self.tracker.count(&self.result(at, seq, u));
+        self.tracker.count(&self.record(at, seq, u));
         closed
     }
 
-    fn result(&self, at: u64, seq: u64, u: f64) -> FrameRecord {
+    /// The record of a frame that arrives at `at` under the threshold `u`; its state is drawn from its number.
+    fn record(&self, at: u64, seq: u64, u: f64) -> FrameRecord {
         let state = FrameState::ALL[(seq % 5) as usize];
-        let degraded = state == FrameState::P && seq.is_multiple_of(7);
-        let threshold = Some(Threshold::new(Albireo::THRESHOLD.name, u));
+        let message = DetectionsMessage {
+            degraded: state == FrameState::P && seq.is_multiple_of(7),
+            threshold: Some(Threshold::new(Albireo::THRESHOLD.name, u)),
+            ..answer(seq, state)
+        };
         FrameRecord {
             answered: self.at(at) + ms(12),
             times: Times {
@@ -122,7 +127,7 @@ impl Camera {
                 },
                 ..Times::default()
             },
-            ..FrameRecord::new(answer(seq, state, degraded, threshold), ms(12))
+            ..FrameRecord::new(Arc::new(message), ms(12))
         }
     }
 }
@@ -228,13 +233,13 @@ fn a_clip_is_returned_when_its_pending_frame_has_its_final_answer() {
     let mut camera = Camera::new();
     camera.frame(0, Some("a"));
     camera.tracker.arrive(0, Some("a"), camera.at(100));
-    let u = |u| Some(Threshold::new(Albireo::THRESHOLD.name, u));
-    camera.tracker.pending(1, u(3e-4));
+    let threshold = |u| Some(Threshold::new(Albireo::THRESHOLD.name, u));
+    camera.tracker.pending(1, threshold(3e-4));
     // The next clip begins, and its frames are its own.
     assert!(camera.frame_with(200, Some("b"), 5e-4).is_none());
-    let late = camera.result(300, 1, 3e-4);
+    let late = camera.record(300, 1, 3e-4);
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
-    assert_eq!(closed.report.threshold, u(3e-4));
+    assert_eq!(closed.report.threshold, threshold(3e-4));
     camera.assert_ended([closed], "a/0: 2 frames, 0 to 200 ms, NextClip");
     let closed = camera.shutdown(400).unwrap();
     assert_eq!(closed.report.threshold_changes.len(), 1);
@@ -250,10 +255,12 @@ fn the_initial_threshold_and_each_change_are_reported_once_within_a_bound() {
         }
         let report = camera.shutdown(50_000).unwrap().report;
         let last = report.threshold.unwrap().value;
+        assert_eq!(
+            report.threshold_changes.last().unwrap().threshold.value,
+            last
+        );
         let changes = report.threshold_changes.into_iter();
-        let changes: Vec<_> = changes.map(|c| (c.seq, c.threshold.value)).collect();
-        assert_eq!(changes.last().unwrap().1, last);
-        changes
+        changes.map(|change| (change.seq, change.threshold.value)).collect::<Vec<_>>()
     };
     let few = changes_of(&mut [3e-4, 3e-4, 5e-4, 5e-4, 3e-4].into_iter());
     assert_eq!(few, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
@@ -294,17 +301,20 @@ proptest! {
                 Event::Frame { wait, clip } => {
                     now += wait;
                     frames += 1;
-                    let name = clip.map(|c| format!("clip-{c}"));
+                    let name = clip.map(|number| format!("clip-{number}"));
                     closed.extend(camera.frame(now, name.as_deref()));
-                    let open = camera.tracker.clip().map(|c| c.to_string());
+                    let open = camera.tracker.clip().unwrap();
                     match name {
-                        Some(name) => prop_assert_eq!(open, Some(name)),
-                        None => prop_assert!(open.is_some_and(|o| o.starts_with("window-"))),
+                        Some(name) => prop_assert_eq!(&**open, name),
+                        None => prop_assert!(open.starts_with("window-")),
                     }
                 }
                 Event::Dropped { lost, late } => {
-                    let more = DroppedFrames { lost, late, ..DroppedFrames::default() };
-                    camera.tracker.count_others(|| (more, AuditReport::default()));
+                    let unreported = UnreportedCounts {
+                        dropped: DroppedFrames { lost, late, ..DroppedFrames::default() },
+                        audit: AuditReport::default(),
+                    };
+                    camera.tracker.count_unreported(&unreported);
                     if camera.tracker.clip().is_some() {
                         dropped += lost + late;
                     }
@@ -317,9 +327,10 @@ proptest! {
         }
         closed.extend(camera.shutdown(now));
         prop_assert!(camera.shutdown(now).is_none());
-        prop_assert_eq!(closed.iter().map(|c| c.report.states.frames()).sum::<u64>(), frames);
-        prop_assert_eq!(closed.iter().map(|c| c.report.dropped.total()).sum::<u64>(), dropped);
-        prop_assert_eq!(closed.iter().map(|c| c.total.len() as u64).sum::<u64>(), frames);
+        let total = |count: fn(&Clip) -> u64| closed.iter().map(count).sum::<u64>();
+        prop_assert_eq!(total(|clip| clip.report.states.frames()), frames);
+        prop_assert_eq!(total(|clip| clip.report.dropped.total()), dropped);
+        prop_assert_eq!(total(|clip| clip.total_ms.len() as u64), frames);
         let times = closed.iter().flat_map(|clip| [clip.start, clip.end]);
         prop_assert!(times.chain([camera.at(now)]).is_sorted());
     }

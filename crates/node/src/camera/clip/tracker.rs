@@ -11,8 +11,9 @@ use super::ClipConfig;
 use super::report::Clip;
 use super::travel::Travel;
 use crate::frame::FrameRecord;
+use crate::state::board::UnreportedCounts;
 use albireo_power::CameraEnergy;
-use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Position, Threshold};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, Position, Threshold};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -34,12 +35,12 @@ pub(crate) struct ClipTracker {
     ended: Option<Clip>,
     /// The last window or part that ended because it was full, or by a switch of the policy: the next begins at its end if
     /// frames keep coming.
-    full: Option<FullClip>,
+    interrupted: Option<InterruptedClip>,
 }
 
 /// A window or a part that is continued by the next one.
 #[derive(Debug)]
-struct FullClip {
+struct InterruptedClip {
     /// The camera's name for it; `None` for a window.
     named: Option<Arc<str>>,
     part: u32,
@@ -66,17 +67,16 @@ impl ClipTracker {
             windows: 0,
             open: None,
             ended: None,
-            full: None,
+            interrupted: None,
         }
     }
 
-    /// Adds the unprocessed frames and audit results that `take` returns to the open clip, if there is one.
-    pub(crate) fn count_others(&mut self, take: impl FnOnce() -> (DroppedFrames, AuditReport)) {
+    /// Adds unprocessed frames and audit results to the open clip, if there is one.
+    pub(crate) fn count_unreported(&mut self, unreported: &UnreportedCounts) {
         let Some(open) = &mut self.open else { return };
-        let (dropped, found) = take();
-        open.report.dropped += &dropped;
+        open.report.dropped += &unreported.dropped;
         if let Some(audit) = &mut open.report.audit {
-            audit.merge(&found);
+            audit.merge(&unreported.audit);
         }
     }
 
@@ -115,7 +115,7 @@ impl ClipTracker {
     /// time.
     pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
         if let Some(open) = &mut self.open {
-            open.pending = true;
+            open.is_pending = true;
             open.note_threshold(seq, threshold);
         }
     }
@@ -143,7 +143,7 @@ impl ClipTracker {
     /// Ends waiting for the pending frame, which gets no answer. Returns its clip if that has ended.
     pub(crate) fn nothing_is_pending(&mut self) -> Option<Clip> {
         if let Some(open) = &mut self.open {
-            open.pending = false;
+            open.is_pending = false;
         }
         self.ended.take()
     }
@@ -173,29 +173,40 @@ impl ClipTracker {
     /// The time to call [`tick`](Self::tick) if no frame arrives before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
-        Some((open.last_arrival + self.silence).min(open.start + self.limit(open.windowed)))
+        Some(self.silent_at(open).min(self.full_at(open)))
+    }
+
+    /// The time at which the camera of an open clip has been silent for long enough, if no frame arrives before.
+    fn silent_at(&self, open: &Clip) -> Instant {
+        open.last_arrival + self.silence
+    }
+
+    /// The time at which an open window or part is full.
+    fn full_at(&self, open: &Clip) -> Instant {
+        open.start + self.limit(open.is_window)
     }
 
     /// The longest duration of a window, or of a part of another clip.
-    const fn limit(&self, windowed: bool) -> Duration {
-        if windowed { self.window } else { self.longest }
+    const fn limit(&self, is_window: bool) -> Duration {
+        if is_window { self.window } else { self.longest }
     }
 
     /// Ends the clip if its window or part is full or its camera has been silent for long enough. Call it only
     /// while no frame is being processed.
     pub(crate) fn tick(&mut self, now: Instant) -> Option<Clip> {
         let open = self.open.as_ref()?;
-        let full = open.start + self.limit(open.windowed);
+        let full_at = self.full_at(open);
+        let silent_at = self.silent_at(open);
         // A camera that stopped before ends the clip by its silence, not by the clock.
-        if now >= full && full <= open.last_arrival + self.silence {
-            let ended_by = if open.windowed {
+        if now >= full_at && full_at <= silent_at {
+            let ended_by = if open.is_window {
                 ClipEnd::Window
             } else {
                 ClipEnd::Length
             };
-            return self.close(ended_by, full);
+            return self.close(ended_by, full_at);
         }
-        if now >= open.last_arrival + self.silence {
+        if now >= silent_at {
             let end = open.end.min(now);
             return self.close(ClipEnd::Silence, end);
         }
@@ -226,8 +237,8 @@ impl ClipTracker {
         }
         let open = self.open.as_ref()?;
         let is_same_clip = match clip {
-            Some(clip) => !open.windowed && clip == &*open.name,
-            None => open.windowed,
+            Some(clip) => !open.is_window && clip == &*open.name,
+            None => open.is_window,
         };
         if is_same_clip {
             return None;
@@ -237,30 +248,31 @@ impl ClipTracker {
     }
 
     fn begin(&mut self, t_ns: u64, clip: Option<&str>, arrival: Instant) {
-        let windowed = clip.is_none();
-        // A full clip continues if frames keep coming, and its successor must not be over before the frame arrived.
-        let longest = self.silence.min(self.limit(windowed));
+        let is_window = clip.is_none();
+        // It is continued if frames keep coming, and its successor must not be over before the frame arrived.
+        let longest_gap = self.silence.min(self.limit(is_window));
         let mut start = arrival;
         let mut part = 0;
-        if let Some(full) = self.full.take()
-            && full.named.as_deref() == clip
-            && arrival.saturating_duration_since(full.end) < longest
+        if let Some(before) = self.interrupted.take()
+            && before.named.as_deref() == clip
+            && arrival.saturating_duration_since(before.end) < longest_gap
         {
-            start = full.end;
-            if !windowed {
-                part = full.part.saturating_add(1);
+            start = before.end;
+            if !is_window {
+                part = before.part.saturating_add(1);
             }
         }
         let name = match clip {
             Some(clip) => clip.to_owned(),
             None => {
+                let name = format!("window-{}", self.windows);
                 self.windows += 1;
-                format!("window-{}", self.windows - 1)
+                name
             }
         };
-        let arrival = arrival.max(start);
+        let first_arrival = arrival.max(start);
         let energy = self.energy.measure(start);
-        energy.until(arrival);
+        energy.until(first_arrival);
         self.open = Some(Clip {
             report: ClipReport {
                 clip: name.clone(),
@@ -271,17 +283,17 @@ impl ClipTracker {
                 ..ClipReport::default()
             },
             start,
-            end: arrival,
-            total: Vec::new(),
-            detector: Vec::new(),
+            end: first_arrival,
+            total_ms: Vec::new(),
+            detector_ms: Vec::new(),
             energy,
             name: name.into(),
-            windowed,
-            first_arrival: arrival,
-            last_arrival: arrival,
-            last_answered: arrival,
+            is_window,
+            first_arrival,
+            last_arrival: first_arrival,
+            last_answered: first_arrival,
             arrivals: 1,
-            pending: false,
+            is_pending: false,
             travel: None,
         });
     }
@@ -290,19 +302,20 @@ impl ClipTracker {
         let mut open = self.open.take()?;
         open.report.ended_by = ended_by;
         open.end = end;
-        self.full = match ended_by {
-            ClipEnd::Window | ClipEnd::Length | ClipEnd::Policy => Some(FullClip {
-                named: if open.windowed {
-                    None
-                } else {
-                    Some(Arc::clone(&open.name))
-                },
+        let named = if open.is_window {
+            None
+        } else {
+            Some(Arc::clone(&open.name))
+        };
+        self.interrupted = match ended_by {
+            ClipEnd::Window | ClipEnd::Length | ClipEnd::Policy => Some(InterruptedClip {
+                named,
                 part: open.report.part,
                 end,
             }),
             _ => None,
         };
-        if open.pending {
+        if open.is_pending {
             self.ended = Some(open);
             return None;
         }

@@ -101,9 +101,9 @@ impl Travel {
             t_ns,
             arrival,
         };
-        let seen = self.doubtful.as_ref().unwrap_or(&self.last);
-        if place.point() == seen.point() {
-            // Frames come more often than positions: this is the same one.
+        // Frames come more often than positions: the same one changes nothing.
+        let newest = self.doubtful.as_ref().unwrap_or(&self.last);
+        if place.point() == newest.point() {
             return;
         }
         if !place.is_reachable_from(&self.last) {
@@ -119,7 +119,8 @@ impl Travel {
         self.doubtful = None;
         self.last = place;
         if let Some(speed) = position.speed_m_s {
-            self.fastest_m_s = Some(self.fastest_m_s.map_or(speed, |fastest| fastest.max(speed)));
+            let fastest = self.fastest_m_s.unwrap_or(speed);
+            self.fastest_m_s = Some(fastest.max(speed));
         }
         let [longitude, latitude] = place.point();
         let [west, south, east, north] = self.bounds;
@@ -211,15 +212,20 @@ fn corner_m2(points: &[[f64; 2]]) -> f64 {
 mod tests {
     use super::*;
 
-    const BERLIN: (f64, f64) = (52.52, 13.405);
+    const BERLIN: Position = Position {
+        latitude: 52.52,
+        longitude: 13.405,
+        speed_m_s: None,
+    };
     /// Degrees of latitude in a metre.
     const METRE: f64 = 180.0 / (PI * EARTH_M);
 
-    fn at((latitude, longitude): (f64, f64), speed_m_s: Option<f64>) -> Position {
+    /// A place this many metres north of another, passed at a speed.
+    fn north_of(place: Position, metres: f64, speed_m_s: Option<f64>) -> Position {
         Position {
-            latitude,
-            longitude,
+            latitude: place.latitude + metres * METRE,
             speed_m_s,
+            ..place
         }
     }
 
@@ -243,10 +249,7 @@ mod tests {
 
     #[test]
     fn a_straight_kilometre_is_a_kilometre() {
-        let way = (0..=100).map(|step| {
-            let north = BERLIN.0 + f64::from(step) * 10.0 * METRE;
-            at((north, BERLIN.1), Some(10.0))
-        });
+        let way = (0..=100).map(|step| north_of(BERLIN, 10.0 * f64::from(step), Some(10.0)));
         let travel = drive(way);
         assert!((travel.distance_m - 1000.0).abs() < 11.0, "{travel:?}");
         assert_eq!(travel.fastest_m_s, Some(10.0));
@@ -257,16 +260,17 @@ mod tests {
 
     #[test]
     fn a_receiver_that_wanders_while_it_stands_adds_no_distance() {
-        let wander = |second: i32, metres: f64, speed| {
+        let wander = |second: i32, metres: f64, speed_m_s| {
             let away = f64::from((second * 7) % 9 - 4) / 4.0 * metres * METRE;
-            at((BERLIN.0 + away, BERLIN.1 - away), speed)
+            Position {
+                latitude: BERLIN.latitude + away,
+                longitude: BERLIN.longitude - away,
+                speed_m_s,
+            }
         };
         let travel = drive((0..300).map(|second| wander(second, 4.0, None)));
-        assert_eq!(
-            (travel.distance_m, travel.track.len()),
-            (0.0, 1),
-            "{travel:?}"
-        );
+        assert_eq!(travel.distance_m, 0.0, "{travel:?}");
+        assert_eq!(travel.track.len(), 1, "{travel:?}");
         // With its speed it may wander further.
         let travel = drive((0..300).map(|second| wander(second, 12.0, Some(0.1))));
         assert_eq!(travel.distance_m, 0.0, "{travel:?}");
@@ -274,21 +278,29 @@ mod tests {
 
     #[test]
     fn an_error_of_the_receiver_is_left_out_and_a_real_jump_restarts_the_way() {
-        let step = |step: i32| at((BERLIN.0 + f64::from(step) * 20.0 * METRE, BERLIN.1), None);
-        let mut way: Vec<_> = (0..10).map(step).collect();
-        way.insert(5, at((BERLIN.0, BERLIN.1 + 1.0), None));
+        let north_from = |start: Position| {
+            (0..10).map(move |step| north_of(start, 20.0 * f64::from(step), None))
+        };
+        let mut way: Vec<_> = north_from(BERLIN).collect();
+        let error = Position {
+            longitude: BERLIN.longitude + 1.0,
+            ..BERLIN
+        };
+        way.insert(5, error);
         let travel = drive(way);
         assert!((travel.distance_m - 180.0).abs() < 1.0, "{travel:?}");
-        assert_eq!(travel.bounds[2], BERLIN.1);
+        let [_, _, east, _] = travel.bounds;
+        assert_eq!(east, BERLIN.longitude);
 
-        let elsewhere = |step: i32| {
-            let north = 48.0 + f64::from(step) * 20.0 * METRE;
-            at((north, 11.0), None)
+        let elsewhere = Position {
+            latitude: 48.0,
+            longitude: 11.0,
+            speed_m_s: None,
         };
-        let way = (0..10).map(step).chain((0..10).map(elsewhere));
-        let travel = drive(way);
+        let travel = drive(north_from(BERLIN).chain(north_from(elsewhere)));
         assert!((travel.distance_m - 340.0).abs() < 1.0, "{travel:?}");
-        assert_eq!(travel.bounds[0], 11.0);
+        let [west, ..] = travel.bounds;
+        assert_eq!(west, elsewhere.longitude);
     }
 
     #[test]
@@ -296,13 +308,14 @@ mod tests {
         // Ten laps of a circle of a kilometre around.
         let way = (0..=1000).map(|step| {
             let angle = f64::from(step) * 2.0 * PI / 100.0;
-            let metres = 1000.0 / (2.0 * PI);
-            let east = METRE / BERLIN.0.to_radians().cos();
-            let place = (
-                BERLIN.0 + metres * angle.sin() * METRE,
-                BERLIN.1 + metres * angle.cos() * east,
-            );
-            at(place, Some(10.0))
+            let radius_m = 1000.0 / (2.0 * PI);
+            // Degrees of longitude in a metre.
+            let metre_east = METRE / BERLIN.latitude.to_radians().cos();
+            Position {
+                latitude: BERLIN.latitude + radius_m * angle.sin() * METRE,
+                longitude: BERLIN.longitude + radius_m * angle.cos() * metre_east,
+                speed_m_s: Some(10.0),
+            }
         });
         let travel = drive(way);
         assert!(
@@ -311,19 +324,22 @@ mod tests {
         );
         assert_eq!(travel.track.len(), MOST_TRACK_POINTS);
         let [west, south, east, north] = travel.bounds;
-        assert!(west < BERLIN.1 && BERLIN.1 < east && south < BERLIN.0 && BERLIN.0 < north);
+        assert!(west < BERLIN.longitude && BERLIN.longitude < east);
+        assert!(south < BERLIN.latitude && BERLIN.latitude < north);
     }
 
     #[test]
     fn a_way_over_the_antimeridian_has_a_small_box() {
         let way = (-20..=20).map(|step| {
-            let longitude = 180.0 + f64::from(step) * 20.0 * METRE;
-            let longitude = if longitude > 180.0 {
-                longitude - 360.0
-            } else {
-                longitude
-            };
-            at((-17.0, longitude), None)
+            let mut longitude = 180.0 + f64::from(step) * 20.0 * METRE;
+            if longitude > 180.0 {
+                longitude -= 360.0;
+            }
+            Position {
+                latitude: -17.0,
+                longitude,
+                speed_m_s: None,
+            }
         });
         let travel = drive(way);
         assert!((700.0..800.0).contains(&travel.distance_m), "{travel:?}");

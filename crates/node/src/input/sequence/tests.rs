@@ -79,7 +79,9 @@ fn a_long_gap_costs_one_more_frame_unless_a_silence_explains_it() {
 fn a_sample_with_an_unreadable_number_does_not_also_count_as_lost() {
     let mut camera = Camera::new();
     for (unreadable, seq, lost) in [(0, 0, 0), (0, 1, 0), (2, 6, 2), (0, 9, 2), (1, 10, 0)] {
-        (0..unreadable).for_each(|_| camera.tracker.arrive_unreadable());
+        for _ in 0..unreadable {
+            camera.tracker.arrive_unreadable();
+        }
         assert_eq!(camera.send([seq], None), [new(seq, lost)]);
     }
 }
@@ -87,7 +89,7 @@ fn a_sample_with_an_unreadable_number_does_not_also_count_as_lost() {
 #[test]
 fn one_stray_frame_costs_a_camera_no_frame_and_no_count() {
     for own in [None, Some(9)] {
-        for stray in [
+        for (seq, stream) in [
             (Some(5), Some(77)),
             (Some(0), own),
             (Some(900), own),
@@ -100,9 +102,10 @@ fn one_stray_frame_costs_a_camera_no_frame_and_no_count() {
         ] {
             let mut camera = Camera::new();
             assert_eq!(losses(&camera.send(1000..1050, own)), (0, 0));
-            assert_eq!(camera.arrive(stray.0, stray.1), Arrival::Stray, "{stray:?}");
+            let case = format!("{seq:?} of {stream:?} among {own:?}");
+            assert_eq!(camera.arrive(seq, stream), Arrival::Stray, "{case}");
             let after = camera.send(1050..1450, own);
-            assert_eq!(losses(&after), (0, 0), "{own:?} {stray:?}");
+            assert_eq!(losses(&after), (0, 0), "{case}");
             assert!(!after.contains(&restarted(50)));
         }
     }
@@ -110,8 +113,9 @@ fn one_stray_frame_costs_a_camera_no_frame_and_no_count() {
 
 #[test]
 fn another_stream_takes_over_after_a_second_and_five_periods_of_silence() {
-    for (period, silence) in [(20, 1000), (200, 1000), (2000, 10_000)] {
-        let [period, silence] = [period, silence].map(Duration::from_millis);
+    for (period_ms, silence_ms) in [(20, 1000), (200, 1000), (2000, 10_000)] {
+        let period = Duration::from_millis(period_ms);
+        let silence = Duration::from_millis(silence_ms);
         let mut camera = Camera::new();
         for number in 0..10 {
             camera.pass(period).arrive(number, 1);
@@ -132,7 +136,7 @@ fn a_restart_after_a_visible_departure_costs_no_frame() {
     camera.send(0..50, Some(1));
     let mut place = 50;
     for (stream, numbers) in [(2, 0..50), (3, 20..60), (4, 500..520), (5, 0..5)] {
-        camera.tracker.publisher_changed(stream - 1, true);
+        camera.tracker.publisher_left(stream - 1);
         // What was still on its way is processed.
         let arrivals = camera.send(numbers, Some(stream));
         assert_eq!(arrivals[0], restarted(place));
@@ -142,11 +146,11 @@ fn a_restart_after_a_visible_departure_costs_no_frame() {
         }
         place += 1;
     }
-    camera.tracker.publisher_changed(4, true);
+    camera.tracker.publisher_left(4);
     assert_eq!(camera.arrive(0, 6), Arrival::Stray, "an old one is gone");
-    camera.tracker.publisher_changed(5, true);
+    camera.tracker.publisher_left(5);
     assert_eq!(losses(&camera.send([5], Some(5))), (0, 0), "its last frame");
-    camera.tracker.publisher_changed(5, false);
+    camera.tracker.publisher_came(5);
     assert_eq!(camera.arrive(0, 6), Arrival::Stray, "it is back");
 }
 
@@ -184,19 +188,20 @@ fn frames_without_numbers_are_never_lost() {
 
 #[test]
 fn of_two_cameras_on_one_key_the_first_wins_and_loses_no_frame() {
-    for (first, second) in [
-        ((0, Some(1)), (0, Some(2))),
-        ((0, None), (0, Some(2))),
-        ((1000, None), (0, None)),
+    for (first_number, first_stream, second_stream) in [
+        (0, Some(1), Some(2)),
+        (0, None, Some(2)),
+        (1000, None, None),
     ] {
         let mut camera = Camera::new();
         for number in 0..200 {
-            let heard = camera.pass(PERIOD / 2).arrive(first.0 + number, first.1);
+            let seq = first_number + number;
+            let heard = camera.pass(PERIOD / 2).arrive(seq, first_stream);
             assert_eq!(heard, new(number, 0));
-            // The second one sends more often.
+            // The second one numbers from 0, and sends more often.
             for half in [0, 1] {
-                let other = second.0 + 2 * number + half;
-                let other = camera.pass(PERIOD / 4).arrive(other, second.1);
+                let seq = 2 * number + half;
+                let other = camera.pass(PERIOD / 4).arrive(seq, second_stream);
                 assert_eq!(other, Arrival::Stray);
             }
         }
@@ -350,10 +355,10 @@ proptest! {
 #[test]
 fn a_camera_that_changes_its_step_loses_one_frame_at_most() {
     let mut camera = Camera::new();
-    camera.send((0..50).map(|n| n * 10), None);
+    camera.send((0..50).map(|number| number * 10), None);
     let every = camera.send(491..600, None);
     assert_eq!(losses(&every), (0, 0), "from tens to ones");
-    let tens = camera.send((61..100).map(|n| n * 10), None);
+    let tens = camera.send((61..100).map(|number| number * 10), None);
     let (dropped, lost) = losses(&tens);
     assert!(
         dropped <= 1 && lost <= 10,

@@ -154,8 +154,12 @@ impl SourceAddress {
                 return Err(LOGIN_AFTER_QUERY.to_owned());
             }
             let (before, after) = word.split_at(login_end(&word));
-            let before = variables.filled(before, !is_pipeline)?;
-            words.push(before + &variables.filled(after, false)?);
+            let before = if is_pipeline {
+                variables.filled(before, Encoding::None)?
+            } else {
+                variables.filled(before, Encoding::AsLogin)?
+            };
+            words.push(before + &variables.filled(after, Encoding::None)?);
         }
         let Variables {
             mut secrets, unset, ..
@@ -201,6 +205,15 @@ fn check_scheme(kind: &SourceKind) -> Result<(), String> {
     Ok(())
 }
 
+/// How the value of a variable is written into an address.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    /// As it is.
+    None,
+    /// As a part of a URL's login.
+    AsLogin,
+}
+
 /// Fills environment variables into an address, and notes which are secret and which are not set.
 struct Variables<'a> {
     value: &'a dyn Fn(&str) -> Option<String>,
@@ -210,8 +223,8 @@ struct Variables<'a> {
 }
 
 impl Variables<'_> {
-    /// Returns `text` with the value of each `${NAME}`, encoded as part of a URL's login if `encode`.
-    fn filled(&mut self, text: &str, encode: bool) -> Result<String, String> {
+    /// Returns `text` with the value of each `${NAME}`.
+    fn filled(&mut self, text: &str, encoding: Encoding) -> Result<String, String> {
         let mut filled = String::new();
         let mut rest = text;
         while let Some((before, after)) = rest.split_once("${") {
@@ -225,10 +238,9 @@ impl Variables<'_> {
                 self.secrets.add(&value);
             }
             filled.push_str(before);
-            if encode {
-                filled.extend(utf8_percent_encode(&value, LOGIN));
-            } else {
-                filled.push_str(&value);
+            match encoding {
+                Encoding::None => filled.push_str(&value),
+                Encoding::AsLogin => filled.extend(utf8_percent_encode(&value, LOGIN)),
             }
             rest = after;
         }
@@ -297,10 +309,14 @@ impl fmt::Display for SourceAddress {
                 // Only the elements' names: a property may be a password.
                 for (place, element) in self.0.split(" ! ").enumerate() {
                     let name = element.split_whitespace().next().unwrap_or_default();
-                    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-                    let name = if name.chars().all(plain) { name } else { "…" };
+                    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+                    let shown = if name.chars().all(is_plain) {
+                        name
+                    } else {
+                        "…"
+                    };
                     let between = if place > 0 { " ! " } else { "" };
-                    write!(f, "{between}{name}")?;
+                    write!(f, "{between}{shown}")?;
                 }
                 Ok(())
             }

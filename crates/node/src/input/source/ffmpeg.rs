@@ -313,7 +313,7 @@ pub(super) fn ffmpeg(
         arguments: command.arguments,
         input,
         tells_broken: !way.is_untouched(),
-        ppm: !way.is_untouched() && !settings.as_jpeg,
+        writes_ppm: !way.is_untouched() && !settings.as_jpeg,
         secrets: resolved.secrets,
         max_memory,
     })

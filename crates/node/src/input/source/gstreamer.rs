@@ -86,8 +86,8 @@ mod tests {
             let expected = format!("-q {pipeline} ! multipartmux ! fdsink fd=1");
             assert_eq!(program.arguments.join(" "), expected);
         }
-        let refused = gstreamer(&settings("rtsp://u:hidden@cam/s", ""));
-        let refused = refused.err().unwrap().to_string();
+        let program = gstreamer(&settings("rtsp://u:hidden@cam/s", ""));
+        let refused = program.err().unwrap();
         assert_has(&refused, &["install ffmpeg"]);
         assert_lacks(&refused, &["hidden"]);
     }

@@ -24,7 +24,7 @@ fn head(address: &str) -> io::Result<String> {
     let (scheme, _) = address.split_once("://").ok_or_else(invalid)?;
     let place = after_login(address);
     let (authority, path) = place.split_at(place.find(['/', '?']).unwrap_or(place.len()));
-    let (usual, request) = match scheme.to_ascii_lowercase().as_str() {
+    let (usual_port, request) = match scheme.to_ascii_lowercase().as_str() {
         "rtsp" => (
             554,
             format!(
@@ -40,7 +40,7 @@ fn head(address: &str) -> io::Result<String> {
     };
     let host_and_port = match authority.rsplit_once(':') {
         Some((_, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => authority.to_owned(),
-        _ => format!("{authority}:{usual}"),
+        _ => format!("{authority}:{usual_port}"),
     };
     let until = Instant::now() + ANSWER;
     let host = host_and_port.to_socket_addrs()?.next().ok_or_else(invalid)?;

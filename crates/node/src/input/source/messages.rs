@@ -9,8 +9,9 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, BufReader};
 use tokio::process::ChildStderr;
 
-/// The number of a program's error messages kept, and the maximum length of each.
+/// The number of a program's error messages kept.
 const MAX_COMPLAINTS: usize = 12;
+/// The maximum length of a line, bytes.
 const MAX_LINE: u64 = 4096;
 /// The most pictures whose messages may be read before the pictures.
 const MAX_AHEAD: usize = 256;
@@ -36,9 +37,9 @@ pub(super) enum Stage {
     Decoded,
 }
 
-/// What the filter of [`super::ffmpeg`] says of each decoded picture: 1 for a key frame, plus 2 for one that is
-/// taken.
+/// What the filter of [`super::ffmpeg`] adds for a decoded picture that is a key frame.
 const KEY: u8 = 1;
+/// What it adds for one that is taken.
 const TAKEN: u8 = 2;
 
 /// The lines that a program writes to its error output.
@@ -61,9 +62,9 @@ pub(super) struct Messages {
     stage: Stage,
     complaints: VecDeque<String>,
     /// True if the decoder has complained since the last picture.
-    damaged: bool,
+    is_damaged: bool,
     /// True from a complaint to the next whole key frame.
-    broken: bool,
+    is_broken: bool,
     /// For each picture that was taken and not yet read: whether it is broken.
     ahead: VecDeque<bool>,
 }
@@ -155,8 +156,8 @@ impl Messages {
     }
 
     fn take_line(&mut self) {
-        let line = std::mem::take(&mut self.line);
-        let line = String::from_utf8_lossy(&line);
+        let bytes = std::mem::take(&mut self.line);
+        let line = String::from_utf8_lossy(&bytes);
         let text = line.trim();
         if let Some(picture) = decoded(text) {
             self.take_picture(picture);
@@ -170,12 +171,14 @@ impl Messages {
     /// Notes a decoded picture. What the decoder said since the one before concerns this one.
     fn take_picture(&mut self, picture: u8) {
         // Before the first picture, ffmpeg has looked at the stream from the middle of it.
-        let damaged = std::mem::take(&mut self.damaged) && self.stage == Stage::Decoded;
+        let counts = self.is_damaged && self.stage == Stage::Decoded;
+        let is_key = picture & KEY != 0;
+        self.is_damaged = false;
         self.stage = Stage::Decoded;
-        self.broken = damaged || (self.broken && picture & KEY == 0);
-        self.arrivals.frame(self.broken);
+        self.is_broken = counts || (self.is_broken && !is_key);
+        self.arrivals.frame(self.is_broken);
         if picture & TAKEN != 0 {
-            self.ahead.push_back(self.broken);
+            self.ahead.push_back(self.is_broken);
         }
         if self.ahead.len() > MAX_AHEAD {
             self.ahead.pop_front();
@@ -186,7 +189,7 @@ impl Messages {
         let complaint = self.secrets.redact(complaint);
         tracing::debug!(complaint, "message from the source's program");
         if self.stage == Stage::Decoded && self.is_damage(text) {
-            self.damaged = true;
+            self.is_damaged = true;
             self.arrivals.complaint(&complaint);
         }
         if !self.complaints.contains(&complaint) {
@@ -325,15 +328,11 @@ fn complaint(line: &str) -> Option<String> {
         .find_map(|level| line.split_once(level));
     let said = behind.map_or(line, |(_, behind)| behind).trim();
     // The time limit that we set, in microseconds.
-    Some(match said.split_once("?timeout=") {
-        Some((address, rest)) => {
-            format!(
-                "{address}{}",
-                rest.trim_start_matches(|c: char| c.is_ascii_digit())
-            )
-        }
-        None => said.to_owned(),
-    })
+    let Some((address, limit_and_rest)) = said.split_once("?timeout=") else {
+        return Some(said.to_owned());
+    };
+    let rest = limit_and_rest.trim_start_matches(|c: char| c.is_ascii_digit());
+    Some(format!("{address}{rest}"))
 }
 
 /// What the filter says of a decoded picture: `[info] 3.000000`.
@@ -343,7 +342,8 @@ fn decoded(line: &str) -> Option<u8> {
 
 /// The codec in a line such as `[info]   Stream #0:0: Video: h264 (High), yuv420p`.
 fn codec(line: &str) -> Option<String> {
-    let (_, video) = line.split_once("Stream #")?.1.split_once("Video: ")?;
+    let (_, stream) = line.split_once("Stream #")?;
+    let (_, video) = stream.split_once("Video: ")?;
     let end = video.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
     Some(video[..end.unwrap_or(video.len())].to_owned())
 }

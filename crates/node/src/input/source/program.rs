@@ -42,7 +42,7 @@ pub(super) struct PictureProgram {
     /// True if it says of each decoded picture whether it is a key frame.
     pub tells_broken: bool,
     /// True if its pictures are PPM files. Otherwise they are the parts of a multipart stream.
-    pub ppm: bool,
+    pub writes_ppm: bool,
     /// Secrets to mask in its messages.
     pub secrets: Secrets,
     /// The maximum memory, bytes.
@@ -77,15 +77,16 @@ impl PictureProgram {
         arrivals: Arc<Arrivals>,
         stop: CancellationToken,
     ) -> io::Result<RunningProgram> {
+        let input = match self.input {
+            Some(_) => Stdio::piped(),
+            None => Stdio::null(),
+        };
         let mut command = Command::new(self.program);
         command
             .args(&self.arguments)
             .env_clear()
             .envs(environment())
-            .stdin(match self.input {
-                Some(_) => Stdio::piped(),
-                None => Stdio::null(),
-            })
+            .stdin(input)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // Ctrl-C in a terminal is for the owner, which ends the program.
@@ -248,8 +249,8 @@ impl Read for RunningProgram {
                         return Err(io::Error::new(ErrorKind::ConnectionAborted, "it is stopped"));
                     }
                     () = sleep_until(*deadline) => {
-                        let opened = *tells_broken && messages.stage() == Stage::Opened;
-                        if opened && *patience < FIRST_PICTURE {
+                        let is_opened = *tells_broken && messages.stage() == Stage::Opened;
+                        if is_opened && *patience < FIRST_PICTURE {
                             *deadline += FIRST_PICTURE - *patience;
                             *patience = FIRST_PICTURE;
                             continue;

@@ -21,9 +21,23 @@ use tokio_util::sync::CancellationToken;
 /// The longest wait for an event.
 const PATIENCE: Duration = Duration::from_secs(90);
 
+/// A picture that arrived.
+struct Taken {
+    picture: EncodedPicture,
+    is_broken: bool,
+}
+
+/// Pictures per second.
+struct Rates {
+    /// Those that were taken.
+    taken: f64,
+    /// Those that came.
+    came: f64,
+}
+
 /// A source that is open, and what came from it.
 struct Open {
-    events: UnboundedReceiver<(Instant, SourceEvent)>,
+    events: UnboundedReceiver<SourceEvent>,
     arrivals: Arc<Arrivals>,
     stop: CancellationToken,
     running: JoinHandle<()>,
@@ -38,7 +52,7 @@ impl Open {
         let (sender, events) = unbounded_channel();
         let stop = CancellationToken::new();
         let stopped = stop.clone();
-        let each = move |event| drop(sender.send((Instant::now(), event)));
+        let each = move |event| drop(sender.send(event));
         let running = tokio::spawn(async move { source.run(each, stopped).await.unwrap() });
         Self {
             events,
@@ -54,17 +68,18 @@ impl Open {
 
     async fn next(&mut self) -> SourceEvent {
         let event = tokio::time::timeout(PATIENCE, self.events.recv()).await;
-        event.expect("nothing comes").unwrap().1
+        event.expect("nothing comes").unwrap()
     }
 
     /// The next pictures; nothing may fail.
-    async fn pictures(&mut self, count: usize) -> Vec<(EncodedPicture, bool)> {
+    async fn pictures(&mut self, count: usize) -> Vec<Taken> {
         let mut pictures = Vec::new();
         while pictures.len() < count {
             match self.next().await {
-                SourceEvent::Picture {
-                    picture, broken, ..
-                } => pictures.push((picture.unwrap(), broken)),
+                SourceEvent::Picture(picture) => pictures.push(Taken {
+                    picture: picture.picture.unwrap(),
+                    is_broken: picture.is_broken,
+                }),
                 SourceEvent::PassedOver(file) => panic!("passed over {file}"),
                 SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
             }
@@ -81,8 +96,8 @@ impl Open {
         }
     }
 
-    /// The pictures taken and the frames that came, per second, over `time` soon after the first picture.
-    async fn rates(&mut self, time: Duration) -> [f64; 2] {
+    /// The rates over `time`, soon after the first picture.
+    async fn rates(&mut self, time: Duration) -> Rates {
         self.pictures(1).await;
         // What came while ffmpeg looked at the stream comes at once.
         let burst = Instant::now() + Duration::from_secs(3);
@@ -91,15 +106,18 @@ impl Open {
         let before = self.arrivals.now();
         let mut taken = 0;
         while let Ok(event) = timeout_at(begun + time, self.events.recv()).await {
-            match event.unwrap().1 {
-                SourceEvent::Picture { .. } => taken += 1,
+            match event.unwrap() {
+                SourceEvent::Picture(_) => taken += 1,
                 SourceEvent::PassedOver(file) => panic!("passed over {file}"),
                 SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
             }
         }
         let came = self.arrivals.now().frames - before.frames;
         let seconds = begun.elapsed().as_secs_f64();
-        [f64::from(taken) / seconds, came as f64 / seconds]
+        Rates {
+            taken: f64::from(taken) / seconds,
+            came: came as f64 / seconds,
+        }
     }
 
     async fn stop(self) -> ArrivalCounts {
@@ -154,13 +172,13 @@ async fn the_rate_is_the_one_asked_for_whatever_a_camera_stamps_on_its_frames() 
                 ..camera(&server.address)
             })
             .await;
-            let [taken, came] = source.rates(Duration::from_secs(12)).await;
+            let rates = source.rates(Duration::from_secs(12)).await;
             source.stop().await;
-            (name, taken, came)
+            (name, rates)
         })
     });
     for run in runs {
-        let (name, taken, came) = run.await.unwrap();
+        let (name, Rates { taken, came }) = run.await.unwrap();
         println!("{name}: {taken:.2} of {came:.2} frames per second");
         // On a busy machine fewer come; a camera that is misread gives less than one.
         assert!((5.0..=16.5).contains(&came), "{name}: {came} per second");
@@ -185,12 +203,12 @@ async fn lost_packets_break_pictures_until_the_next_whole_key_frame() {
     let mut whole = Open::at(&whole.address).await;
     let mut lossy = Open::at(&lossy.address).await;
     let pictures = whole.pictures(90).await;
-    assert!(pictures.iter().all(|(_, broken)| !broken));
+    assert!(pictures.iter().all(|picture| !picture.is_broken));
     let pictures = lossy.pictures(150).await;
-    let runs: Vec<_> = pictures.chunk_by(|one, next| one.1 == next.1).collect();
-    let broken = pictures.iter().filter(|(_, broken)| *broken).count();
-    println!("{broken} of 150 broken, in {} runs", runs.len());
-    assert!(runs.len() > 3, "it breaks and recovers");
+    let runs = pictures.chunk_by(|one, next| one.is_broken == next.is_broken).count();
+    let broken = pictures.iter().filter(|picture| picture.is_broken).count();
+    println!("{broken} of 150 broken, in {runs} runs");
+    assert!(runs > 3, "it breaks and recovers");
     assert!((15..150).contains(&broken), "{broken}");
     assert_eq!(whole.stop().await.broken, 0);
     let arrived = lossy.stop().await;
@@ -303,8 +321,8 @@ async fn video_of_more_than_eight_bits_is_a_source() {
         let status = command.args(["-pix_fmt", pixels]).arg(&file).status();
         assert!(status.unwrap().success(), "{name}");
         let mut source = Open::at(file.to_str().unwrap()).await;
-        let (picture, _) = source.pictures(2).await.remove(1);
-        assert_eq!(picture.size, PictureSize::new(320, 180), "{name}");
+        let second = source.pictures(2).await.remove(1);
+        assert_eq!(second.picture.size, PictureSize::new(320, 180), "{name}");
         source.stop().await;
     }
 }
@@ -336,15 +354,10 @@ async fn a_dashcams_folder_is_one_stream_of_drives_and_begins_again() {
     let mut times = Vec::new();
     while times.len() < 35 {
         match source.next().await {
-            SourceEvent::Picture {
-                picture,
-                reopened,
-                recorded,
-                ..
-            } => {
-                assert_eq!(picture.unwrap().size, PictureSize::new(64, 36));
-                let recorded = recorded.unwrap();
-                if reopened {
+            SourceEvent::Picture(taken) => {
+                assert_eq!(taken.picture.unwrap().size, PictureSize::new(64, 36));
+                let recorded = taken.recorded.unwrap();
+                if taken.is_reopened {
                     told.push(recorded.drive.to_string());
                 }
                 times.push(recorded.time_ns.unwrap());

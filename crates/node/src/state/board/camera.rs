@@ -30,6 +30,14 @@ use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 
+/// What was counted since the last report and belongs to the open clip.
+pub(crate) struct UnreportedCounts {
+    /// Frames that were not processed.
+    pub dropped: DroppedFrames,
+    /// Audit results.
+    pub audit: AuditReport,
+}
+
 /// The state of one camera. The numbers of its loop are from the same moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraSnapshot {
@@ -116,8 +124,9 @@ impl CameraSnapshot {
         if let Some(detector) = detections.latency_ms.detector {
             self.detector_latency.observe(detector / 1e3);
         }
-        let run = frame.times.detector_run;
-        self.detector_us += run.map_or(0, |run| run.used.as_micros() as u64);
+        if let Some(run) = frame.times.detector_run {
+            self.detector_us += run.used.as_micros() as u64;
+        }
         self.states.count(detections.state);
         self.degraded_frames += u64::from(detections.degraded);
         self.count_boxes(&detections.boxes);
@@ -275,8 +284,10 @@ impl CameraBoard {
         sightings: SightingsConfig,
         shared: Shared,
     ) -> Self {
-        let named = policy.spec.zip(setup.threshold);
-        let own = named.map(|(spec, value)| Threshold::new(spec.name, value));
+        let own = match (policy.spec, setup.threshold) {
+            (Some(spec), Some(value)) => Some(Threshold::new(spec.name, value)),
+            _ => None,
+        };
         let in_force = InForce {
             policy: Arc::clone(policy),
             threshold: own.map(|own| own.value).or(policy.threshold),
@@ -339,20 +350,23 @@ impl CameraBoard {
     }
 
     /// Takes the dropped frames and audit results since the last call, for the open clip.
-    pub(crate) fn take_unreported(&self) -> (DroppedFrames, AuditReport) {
+    pub(crate) fn take_unreported(&self) -> UnreportedCounts {
         let audit = std::mem::take(&mut self.counts.lock().unreported);
-        (self.input.take_unreported(), audit)
+        UnreportedCounts {
+            dropped: self.input.take_unreported(),
+            audit,
+        }
     }
 
     /// Counts a frame with its final answer.
     pub fn record_frame(&self, frame: &FrameRecord) {
         let mut counts = self.counts.lock();
         counts.shown.count(frame);
-        let clear = counts.watch.count(&frame.detections);
+        let is_clear_now = counts.watch.count(&frame.detections);
         drop(counts);
         let at = self.shared.started.elapsed();
         self.history.lock().add(&frame.detections, at);
-        if clear && let Some(advice) = self.advice() {
+        if is_clear_now && let Some(advice) = self.advice() {
             tracing::warn!(camera = %self.name, "{advice}");
         }
     }

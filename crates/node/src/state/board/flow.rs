@@ -182,52 +182,76 @@ mod tests {
             }
         }
 
-        fn send(&mut self, seconds: u64, [frames, broken, overrun]: [u64; 3]) -> Option<String> {
+        /// Sends whole frames, all of which are processed. Returns what is wrong afterwards.
+        fn send(&mut self, seconds: u64, frames: u64) -> Option<String> {
+            self.send_some_bad(seconds, frames, Bad::default())
+        }
+
+        fn send_some_bad(&mut self, seconds: u64, frames: u64, bad: Bad) -> Option<String> {
             for _ in 0..seconds {
                 self.now += Duration::from_secs(1);
                 self.arrived.frames += frames;
-                self.arrived.broken += broken;
-                self.dropped.overrun += overrun;
+                self.arrived.broken += bad.broken;
+                self.dropped.overrun += bad.overrun;
                 self.flow.sample(self.now, self.arrived.clone(), self.dropped);
             }
             self.flow.fault(Some("error while decoding MB 3 4"))
         }
     }
 
+    /// Frames of each second that are broken, and that are dropped.
+    #[derive(Clone, Copy, Default)]
+    struct Bad {
+        broken: u64,
+        overrun: u64,
+    }
+
     #[test]
     fn a_camera_that_slows_down_says_so_after_ten_seconds_and_is_believed_after_ten_minutes() {
         let mut camera = Camera::new();
-        assert_eq!(camera.send(60, [15, 0, 0]), None);
-        assert_eq!(camera.send(4, [3, 0, 0]), None);
-        let said = camera.send(7, [3, 0, 0]).unwrap();
+        assert_eq!(camera.send(60, 15), None);
+        assert_eq!(camera.send(4, 3), None);
+        let said = camera.send(7, 3).unwrap();
         assert_eq!(said, "3.0 frames per second come; 14.6 came before");
         assert_eq!(camera.flow.rate(), Some(3.0));
-        assert!(camera.send(560, [3, 0, 0]).is_some());
-        assert_eq!(camera.send(60, [3, 0, 0]), None);
-        assert_eq!(camera.send(60, [15, 0, 0]), None);
+        assert!(camera.send(560, 3).is_some());
+        assert_eq!(camera.send(60, 3), None);
+        assert_eq!(camera.send(60, 15), None);
     }
 
     #[test]
     fn a_stream_that_ends_and_one_that_begins_again_are_not_slow() {
         let mut camera = Camera::new();
-        camera.send(60, [15, 0, 0]);
+        camera.send(60, 15);
         for _ in 0..15 {
-            assert_eq!(camera.send(1, [0, 0, 0]), None);
+            assert_eq!(camera.send(1, 0), None);
         }
         for _ in 0..15 {
-            assert_eq!(camera.send(1, [15, 0, 0]), None);
+            assert_eq!(camera.send(1, 15), None);
         }
     }
 
     #[test]
     fn broken_and_dropped_frames_are_a_fault_once_they_are_most() {
         let mut camera = Camera::new();
-        assert_eq!(camera.send(20, [15, 7, 7]), None);
-        let said = camera.send(10, [15, 8, 0]).unwrap();
+        let fewer_than_half = Bad {
+            broken: 7,
+            overrun: 7,
+        };
+        assert_eq!(camera.send_some_bad(20, 15, fewer_than_half), None);
+        let broken = Bad {
+            broken: 8,
+            overrun: 0,
+        };
+        let said = camera.send_some_bad(10, 15, broken).unwrap();
         let begin =
             "its pictures are broken: 80 of 150 in the last 10 s (error while decoding MB 3 4)";
         assert!(said.starts_with(begin), "{said}");
-        let said = camera.send(10, [15, 0, 10]).unwrap();
+        let dropped = Bad {
+            broken: 0,
+            overrun: 10,
+        };
+        let said = camera.send_some_bad(10, 15, dropped).unwrap();
         let begin =
             "most of its frames are dropped: 100 of 150 in the last 10 s, 100 of them overrun";
         assert!(said.starts_with(begin), "{said}");

@@ -269,9 +269,10 @@ pub(crate) struct PowerPiece {
 #[derive(Debug, Default)]
 pub(super) struct PowerPast {
     hour: Hour<PowerPiece>,
-    /// The figures at the start of the open piece, the newest, and the worst quality since.
+    /// The figures at the start of the open piece.
     began: PowerSnapshot,
     newest: PowerSnapshot,
+    /// The worst quality in the open piece.
     worst: Option<EnergyQuality>,
 }
 

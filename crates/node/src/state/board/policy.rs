@@ -101,7 +101,7 @@ impl Board {
         });
     }
 
-    /// Switches the policy while frames may come, and counts the savings anew from here.
+    /// Switches the policy while frames may come, and counts the savings of the policy from here on.
     pub(crate) fn switch_policy(&self, policy: NodePolicy) {
         let before = self.policy().name;
         let now = policy.name;

@@ -67,25 +67,31 @@ impl Totals {
 
     /// The savings in this time, which began at `since_ms`.
     pub(super) fn savings(&self, since_ms: i64) -> Savings {
-        let power = &self.power;
-        let saved = |watts: f64| watts * power.saved_detector_s;
         Savings {
             since_ms,
             frames: self.frames,
             avoided_calls: self.skipped,
             degraded_frames: self.degraded,
-            energy: power.energy("total").map(|(joules, covered_s)| EnergyUsed {
-                quality: match power.meter_quality {
-                    EnergyQuality::Measured if covered_s < FULL_COVERAGE * power.sampled_s => {
-                        EnergyQuality::Partial
-                    }
-                    quality => quality,
-                },
-                joules,
-                covered_s,
-                saved_joules_estimated: power.detector_watts.map(saved),
-            }),
+            energy: self.energy_used(),
         }
+    }
+
+    /// The energy in this time; `None` without a figure.
+    fn energy_used(&self) -> Option<EnergyUsed> {
+        let power = &self.power;
+        let (joules, covered_s) = power.energy("total")?;
+        let has_gaps = covered_s < FULL_COVERAGE * power.sampled_s;
+        let quality = match power.meter_quality {
+            EnergyQuality::Measured if has_gaps => EnergyQuality::Partial,
+            quality => quality,
+        };
+        let saved = |watts: f64| watts * power.saved_detector_s;
+        Some(EnergyUsed {
+            quality,
+            joules,
+            covered_s,
+            saved_joules_estimated: power.detector_watts.map(saved),
+        })
     }
 }
 

@@ -252,7 +252,7 @@ mod tests {
         }
 
         fn frame(&mut self, classes: &[&str]) -> Vec<Turn> {
-            let mut shown = (*answer(self.frames, FrameState::I, false, None)).clone();
+            let mut shown = answer(self.frames, FrameState::I);
             shown.t_ns = self.frames * 100_000_000;
             let confidences = (1..).map(|number| 1.0 / number as f32);
             shown.boxes = classes

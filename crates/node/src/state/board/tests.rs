@@ -5,6 +5,7 @@ use albireo_core::policy::FrameState;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use bytes::Bytes;
 use serde_json::Value;
+use std::sync::Arc;
 
 #[test]
 fn a_camera_has_its_own_threshold_or_that_of_the_policy() {
@@ -23,9 +24,9 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
         size: PictureSize::new(0, 0),
         mount: None,
     };
-    board.cameras[0].show(answer(7, FrameState::I, false, None), picture);
-    let events = readers.iter_mut().map(|reader| reader.try_recv().unwrap());
-    let events: Vec<_> = events.collect();
+    board.cameras[0].show(Arc::new(answer(7, FrameState::I)), picture);
+    let received = readers.iter_mut().map(|reader| reader.try_recv().unwrap());
+    let events: Vec<_> = received.collect();
     assert_eq!(events[0].news.camera(), Some("front"));
     let first = events[0].json();
     let frame: Value = serde_json::from_str(first).unwrap();

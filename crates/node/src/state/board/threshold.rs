@@ -98,7 +98,10 @@ impl CameraBoard {
     /// Moves the threshold on behalf of the node's target: it applies from the next frame, and is not kept. A value
     /// that the threshold does not allow changes nothing.
     pub(crate) fn move_threshold(&self, value: f64) {
-        if let Some(spec) = self.threshold_spec().filter(|spec| spec.check(value).is_ok()) {
+        let Some(spec) = self.threshold_spec() else {
+            return;
+        };
+        if spec.check(value).is_ok() {
             let before = self.turn(&spec, value);
             tracing::debug!(camera = %self.name, name = spec.name, before, now = value, "threshold moved");
         }

@@ -125,7 +125,8 @@ fn assert_served_while_the_disk_stalls(
 ) {
     thread::scope(|scope| {
         let board = &node.board;
-        let stalled = (node.outbox.stall(), node.settings.stall());
+        let stalled_outbox = node.outbox.stall();
+        let stalled_settings = node.settings.stall();
         let (changed, ended) = channel();
         let served = changed.clone();
         scope.spawn(move || {
@@ -151,7 +152,8 @@ fn assert_served_while_the_disk_stalls(
         let limit = Duration::from_secs(20);
         let first = ended.recv_timeout(limit);
         let early = ended.try_recv();
-        drop(stalled);
+        drop(stalled_outbox);
+        drop(stalled_settings);
         assert_eq!(first, Ok("served"), "while the disk stalls");
         assert_eq!(early, Err(TryRecvError::Empty), "acknowledged, not kept");
         assert_eq!(ended.recv_timeout(limit), Ok("changed"));
@@ -200,7 +202,8 @@ fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     // After a change of the policy, the stored target is not held, and the reason is given.
     let node = node(None, "vanilla", HALF);
     let report = node.board.target.report();
-    assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
+    assert_eq!(report.target, None);
+    assert!(report.off.unwrap().contains("vanilla"));
 }
 
 #[test]
@@ -226,7 +229,8 @@ fn a_target_is_held_under_another_policy_from_its_own_threshold_within_its_own_r
     assert_eq!(node.board.target.report().range.unwrap().least, 2e-4);
     switch("vanilla");
     let report = node.board.target.report();
-    assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
+    assert_eq!(report.target, None);
+    assert!(report.off.unwrap().contains("vanilla"));
 }
 
 #[test]

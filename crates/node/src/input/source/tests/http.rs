@@ -90,8 +90,9 @@ async fn motion_jpeg_is_read_in_every_form_that_servers_give_it() {
         let login = "http://viewer:hidden@";
         for server in [server.clone(), server.replace("http://", login)] {
             let mut source = Open::at(&format!("{server}{path}?a=1,2")).await;
-            for (one, _) in source.pictures(20).await {
-                assert_eq!(one.size, PictureSize::new(320, 180), "{server}{path}");
+            for taken in source.pictures(20).await {
+                let size = taken.picture.size;
+                assert_eq!(size, PictureSize::new(320, 180), "{server}{path}");
             }
             source.stop().await;
         }
@@ -115,7 +116,7 @@ async fn an_address_of_one_picture_is_fetched_at_the_rate_asked_for() {
         ..camera(&format!("{server}/snap.jpg"))
     })
     .await;
-    let [taken, _] = source.rates(Duration::from_secs(10)).await;
+    let taken = source.rates(Duration::from_secs(10)).await.taken;
     println!("{taken:.2} pictures per second");
     // A busy machine fetches fewer.
     assert!((0.5..=2.2).contains(&taken), "{taken} per second");
@@ -155,7 +156,7 @@ async fn recordings_and_segments_on_a_server_are_played_at_their_own_pace() {
     let server = serve_folder(folder.path());
     for file in ["drive.mp4", "live.m3u8"] {
         let mut source = Open::at(&format!("{server}/{file}")).await;
-        let [taken, _] = source.rates(Duration::from_secs(5)).await;
+        let taken = source.rates(Duration::from_secs(5)).await.taken;
         println!("{file}: {taken:.2} pictures per second");
         // Read as fast as possible they would be hundreds; a busy machine plays more slowly.
         assert!((3.0..=16.5).contains(&taken), "{file}: {taken} per second");

@@ -80,8 +80,9 @@ pub(super) fn film(source: &[&str], key_frames: &str) -> Vec<Picture> {
     let ends = starts.iter().skip(1).copied().chain([bytes.len()]);
     let mut pictures: Vec<Picture> = Vec::new();
     for (start, end) in starts.iter().zip(ends) {
-        let unit = &bytes[start + 3..end];
-        let unit = &unit[..unit.len() - unit.iter().rev().take_while(|byte| **byte == 0).count()];
+        let padded = &bytes[start + 3..end];
+        let padding = padded.iter().rev().take_while(|byte| **byte == 0).count();
+        let unit = &padded[..padded.len() - padding];
         // An access unit delimiter begins a picture.
         match kind(unit) {
             9 => pictures.push(Vec::new()),
@@ -198,8 +199,8 @@ fn description(film: &[Picture], only_sound: bool) -> String {
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let letters = bytes.chunks(3).flat_map(|chunk| {
-        let bits = chunk.iter().fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
-        let bits = bits << (8 * (3 - chunk.len()));
+        let read = chunk.iter().fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
+        let bits = read << (8 * (3 - chunk.len()));
         (0..4).map(move |place| {
             if place <= chunk.len() {
                 char::from(LETTERS[(bits >> (18 - 6 * place)) as usize & 63])

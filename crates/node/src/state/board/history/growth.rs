@@ -62,8 +62,9 @@ impl Growth {
         for pair in frames.windows(2) {
             let [before, now] = pair else { continue };
             let follows = now.step == 1 && now.age == before.age + 1;
-            let taus = before.frame.tau_max.zip(now.frame.tau_max);
-            if let (true, Some((first, second))) = (follows, taus)
+            if follows
+                && let Some(first) = before.frame.tau_max
+                && let Some(second) = now.frame.tau_max
                 && first > 0.0
                 && second > 0.0
                 && let Some(steps) = steps.get_mut(now.age as usize)
@@ -71,16 +72,15 @@ impl Growth {
                 steps.push(f64::from(second).ln() - f64::from(first).ln());
             }
         }
-        let medians: Vec<Option<(f64, f64)>> =
-            steps.iter_mut().map(|steps| median(steps)).collect();
+        let medians: Vec<_> = steps.iter_mut().map(|steps| Median::of(steps)).collect();
         // A power of the age grows by power · ln(a / (a − 1)) per step: fits the power by least squares.
         let mut above = 0.0;
         let mut below = 0.0;
         for (age, found) in medians.iter().enumerate().skip(2) {
-            if let Some((log, number)) = found {
+            if let Some(median) = found {
                 let x = log_step(age);
-                above += number * x * log;
-                below += number * x * x;
+                above += median.weight * x * median.log;
+                below += median.weight * x * x;
             }
         }
         let power = if below > 0.0 {
@@ -90,9 +90,12 @@ impl Growth {
         };
         let mut logs = [0.0; AGES + 1];
         let mut sum = 0.0;
-        for (age, (place, found)) in logs.iter_mut().zip(&medians).enumerate().skip(2) {
-            sum += found.map_or(power * log_step(age), |(log, _)| log);
-            *place = sum;
+        for (age, found) in medians.iter().enumerate().skip(2) {
+            sum += match found {
+                Some(median) => median.log,
+                None => power * log_step(age),
+            };
+            logs[age] = sum;
         }
         Self { logs, power }
     }
@@ -100,11 +103,10 @@ impl Growth {
     /// The logarithm of the growth from the first frame after a call to a frame of that age.
     pub(super) fn log(&self, age: u32) -> f64 {
         let age = age.max(1) as usize;
-        let within = self.logs.get(age).copied();
-        within.unwrap_or_else(|| {
-            let last = self.logs.last().copied().unwrap_or_default();
-            last + self.power * (age as f64 / AGES as f64).ln()
-        })
+        if let Some(log) = self.logs.get(age) {
+            return *log;
+        }
+        self.logs[AGES] + self.power * (age as f64 / AGES as f64).ln()
     }
 }
 
@@ -112,8 +114,21 @@ fn log_step(age: usize) -> f64 {
     (age as f64 / (age as f64 - 1.0)).ln()
 }
 
-/// The median and the number of values.
-fn median(values: &mut [f64]) -> Option<(f64, f64)> {
-    values.sort_unstable_by(f64::total_cmp);
-    Some((*values.get(values.len() / 2)?, values.len() as f64))
+/// The median step of the logarithm at one age.
+#[derive(Clone, Copy, Debug)]
+struct Median {
+    log: f64,
+    /// The number of steps.
+    weight: f64,
+}
+
+impl Median {
+    /// `None` without a step.
+    fn of(steps: &mut [f64]) -> Option<Self> {
+        steps.sort_unstable_by(f64::total_cmp);
+        Some(Self {
+            log: *steps.get(steps.len() / 2)?,
+            weight: steps.len() as f64,
+        })
+    }
 }

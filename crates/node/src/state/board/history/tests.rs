@@ -6,16 +6,18 @@ use albireo_core::policy::{
     Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide,
 };
 use albireo_wire::Threshold;
-use std::sync::Arc;
 
 fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
-    let threshold = Some(Threshold::new("u", u));
-    let message = answer(seq, outcome.state, outcome.degraded, threshold);
-    let mut message = Arc::unwrap_or_clone(message);
-    message.cause = outcome.cause;
-    message.tau_max = outcome.tau_max;
-    let is_skipped = outcome.state.is_skipped();
-    message.latency_ms.detector = (!is_skipped).then_some((seq % 100) as f64);
+    let mut message = DetectionsMessage {
+        degraded: outcome.degraded,
+        threshold: Some(Threshold::new("u", u)),
+        cause: outcome.cause,
+        tau_max: outcome.tau_max,
+        ..answer(seq, outcome.state)
+    };
+    if !outcome.state.is_skipped() {
+        message.latency_ms.detector = Some((seq % 100) as f64);
+    }
     message
 }
 
@@ -38,8 +40,15 @@ fn scene(index: u64) -> Vec<Detection> {
     objects.into_iter().flatten().collect()
 }
 
-/// The history of `frames` frames under `u`, and the share of frames that were skipped.
-fn played(u: f64, frames: u64) -> (History, f64) {
+/// A scene that was played under a threshold.
+struct Played {
+    history: History,
+    /// The share of frames that were skipped.
+    skip_rate: f64,
+}
+
+/// Plays the first `frames` frames of the scene under `u`.
+fn played(u: f64, frames: u64) -> Played {
     let mut policy = Albireo::new(AlbireoSettings::paper(), u).unwrap();
     let mut history = History::default();
     let mut outcome = Outcome::default();
@@ -60,7 +69,10 @@ fn played(u: f64, frames: u64) -> (History, f64) {
         let age = Duration::from_millis(33 * index);
         history.add(&message(index, &outcome, u), age);
     }
-    (history, skipped as f64 / frames as f64)
+    Played {
+        history,
+        skip_rate: skipped as f64 / frames as f64,
+    }
 }
 
 /// The age of a node that started at the Unix epoch.
@@ -124,14 +136,14 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
     let policy = Albireo::new(AlbireoSettings::paper(), 3e-4).unwrap();
     let longest = policy.longest_pause();
     let values = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
-    let truths: Vec<f64> = values.iter().map(|u| played(*u, 6000).1).collect();
+    let truths = values.map(|u| played(u, 6000).skip_rate);
     // The shares must differ, or there is nothing to estimate.
     assert!(truths[4] - truths[0] > 0.2, "{truths:?}");
     let mut worst = 0.0_f64;
     let mut naive_worst = 0.0_f64;
     let mut near = 0.0_f64;
     for (place, recorded) in values.into_iter().enumerate() {
-        let past = played(recorded, 6000).0.frames(usize::MAX);
+        let past = played(recorded, 6000).history.frames(usize::MAX);
         let estimate = SkipEstimate::of(&past, longest, &values).unwrap();
         for (other, (value, truth)) in estimate.values.iter().zip(&truths).enumerate() {
             let apart = (value.skip_rate - truth).abs();
@@ -144,7 +156,8 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
                 (Some(CallCause::Screen), _) => false,
                 (_, tau) => tau.is_none_or(|tau| f64::from(tau) < values[other]),
             });
-            naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
+            let naive_rate = naive.count() as f64 / past.len() as f64;
+            naive_worst = naive_worst.max((naive_rate - truth).abs());
         }
         let really = estimate.skipped;
         let same = estimate.values[place].skipped;
@@ -174,7 +187,8 @@ fn the_power_of_a_slot_is_its_joules_over_the_sampled_time() {
         };
         past.add(snapshot, Duration::from_secs(second));
         // 5 W in even pieces and 9 W in odd ones, sampled half the time.
-        joules += [2.5, 4.5][(second / SLOT_S % 2) as usize];
+        let is_even = (second / SLOT_S).is_multiple_of(2);
+        joules += if is_even { 2.5 } else { 4.5 };
     }
     let slots = past.slots(&at(7200));
     assert!((SLOTS - 1..=SLOTS).contains(&slots.len()));

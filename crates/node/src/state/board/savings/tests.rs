@@ -3,15 +3,14 @@
 use crate::camera::answer;
 use crate::camera::clip::tests::{FakeMeter, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};
-use crate::frame::FrameRecord;
-use crate::frame::{DetectorRun, Times};
+use crate::frame::{DetectorRun, FrameRecord, Times};
 use crate::settings::tests::{config, prepared};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_power::{PowerHandle, Value, start_with};
 use albireo_service::clock::milliseconds;
-use albireo_wire::{ClipReport, EnergyQuality};
+use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::Duration;
@@ -106,29 +105,41 @@ async fn play(
             };
         }
         policy.finish(&mut outcome);
-        let message = answer(index, outcome.state, outcome.degraded, None);
+        let message = DetectionsMessage {
+            degraded: outcome.degraded,
+            ..answer(index, outcome.state)
+        };
         tracker.count(&FrameRecord {
             times,
-            ..FrameRecord::new(message, arrival.elapsed())
+            ..FrameRecord::new(Arc::new(message), arrival.elapsed())
         });
     }
     tokio::time::sleep_until(start + CLIP).await;
     report(tracker.shutdown(Instant::now()).unwrap()).await
 }
 
-/// Runs the clip under a policy on a separate machine, which uses the returned joules.
-async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<ClipReport>) {
+/// A clip that a separate machine has run.
+struct Run {
+    /// What the machine used.
+    joules: f64,
+    power: PowerHandle,
+    /// One for each camera.
+    reports: Vec<ClipReport>,
+}
+
+/// Runs the clip under a policy.
+async fn run(policy: &str, cameras: usize, rate: f64) -> Run {
     let mut config = PolicyConfig::default();
     config.select(policy).unwrap();
     let start = Instant::now();
     let detector = Arc::new(Detector::default());
     let metered = Arc::clone(&detector);
-    let joules = move |now: Instant| {
+    let used_until = move |now: Instant| {
         IDLE_WATTS * now.duration_since(start).as_secs_f64()
             + (BUSY_WATTS - IDLE_WATTS) * metered.busy_s(now)
     };
-    let plug = joules.clone();
-    let plug = FakeMeter(move |now: Instant| Some(Value::Counter(plug(now))));
+    let counter = used_until.clone();
+    let plug = FakeMeter(move |now: Instant| Some(Value::Counter(counter(now))));
     let stop = CancellationToken::new();
     let interval = Duration::from_millis(100);
     let (power, sampler) = start_with("fake", Box::new(plug), interval, stop.clone());
@@ -140,14 +151,18 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<
         })
         .collect();
     tokio::time::sleep_until(start + CLIP).await;
-    let joules = joules(start + CLIP);
+    let joules = used_until(start + CLIP);
     let mut reports = Vec::new();
     for camera in loops {
         reports.push(camera.await.unwrap());
     }
     stop.cancel();
     sampler.await.unwrap();
-    (joules, power, reports)
+    Run {
+        joules,
+        power,
+        reports,
+    }
 }
 
 /// The node's own estimate, as its page shows it.
@@ -163,32 +178,33 @@ fn estimated_saving(power: &PowerHandle) -> Option<f64> {
 async fn the_estimate_is_within_a_tenth_of_the_extra_cost_of_vanilla() {
     // Loads of 0.4, 1.2, 0.8 and 1.6: calls that fit, calls that wait for each other, and more than one detector can run.
     for (cameras, rate) in [(1, 10.0), (1, 30.0), (4, 5.0), (4, 10.0)] {
-        let (joules_of_vanilla, _, of_vanilla) = run("vanilla", cameras, rate).await;
-        let (joules, power, reports) = run("albireo", cameras, rate).await;
-        let truth = joules_of_vanilla - joules;
-        let of_clips: f64 =
-            reports.iter().map(|report| report.energy.saved_joules_estimated.unwrap()).sum();
+        let vanilla = run("vanilla", cameras, rate).await;
+        let albireo = run("albireo", cameras, rate).await;
+        let truth = vanilla.joules - albireo.joules;
+        let saved = |report: &ClipReport| report.energy.saved_joules_estimated;
+        let of_clips: f64 = albireo.reports.iter().map(|report| saved(report).unwrap()).sum();
         let case = format!("{cameras} cameras at {rate}/s: {truth:.1} J saved");
         assert!(truth > 50.0, "{case}");
-        for estimate in [of_clips, estimated_saving(&power).unwrap()] {
+        for estimate in [of_clips, estimated_saving(&albireo.power).unwrap()] {
             let off = (estimate / truth - 1.0).abs();
             assert!(off < 0.1, "{case}, not {estimate:.1}");
         }
-        for report in &reports {
+        for report in &albireo.reports {
             let calls = report.detector_latency_ms.count as f64;
             assert_eq!(report.detector_used_ms, 40.0 * calls, "without any waiting");
         }
         // A node that calls the detector on every frame saves nothing.
-        let nothing = |report: &ClipReport| report.energy.saved_joules_estimated.unwrap_or(0.0);
-        assert_eq!(of_vanilla.iter().map(nothing).sum::<f64>(), 0.0);
+        for report in &vanilla.reports {
+            assert_eq!(saved(report).unwrap_or(0.0), 0.0);
+        }
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn without_known_detector_watts_no_saving_is_reported() {
     // The share of calls is constant.
-    let (_, power, reports) = run("fixed-skip", 1, 10.0).await;
-    assert_eq!(estimated_saving(&power), None);
-    assert!(reports[0].skip_rate > 0.4);
-    assert_eq!(reports[0].energy.saved_joules_estimated, None);
+    let run = run("fixed-skip", 1, 10.0).await;
+    assert_eq!(estimated_saving(&run.power), None);
+    assert!(run.reports[0].skip_rate > 0.4);
+    assert_eq!(run.reports[0].energy.saved_joules_estimated, None);
 }
