@@ -57,14 +57,21 @@ fn texture(frame: usize) -> Vec<u8> {
     (0..GREY.pixels() as usize).map(pixel).collect()
 }
 
-/// The detections and the grey picture of a frame.
-type Frame = (Vec<Detection>, Vec<u8>);
+struct Frame {
+    detections: Vec<Detection>,
+    /// Of the grey picture.
+    pixels: Vec<u8>,
+}
 
-fn evidence(offset: usize, (found, pixels): &Frame) -> FrameEvidence<'_> {
+fn evidence(offset: usize, frame: &Frame) -> FrameEvidence<'_> {
+    let grey = GreyPicture {
+        size: GREY,
+        pixels: &frame.pixels,
+    };
     FrameEvidence {
         empty: Some(offset.is_multiple_of(7)),
-        grey: Some(GreyPicture { size: GREY, pixels }),
-        detections: Some(found),
+        grey: Some(grey),
+        detections: Some(&frame.detections),
     }
 }
 
@@ -113,20 +120,28 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
         ("fixed-skip:2 ctd:0.5 statues:75 kill-only:5e-4", &[P, I]),
         ("fixed-skip-in-tracker:2", &[P, I, AI]),
     ];
-    let cases = cases
-        .into_iter()
-        .flat_map(|(all, states)| all.split(' ').map(move |one| (one, states)));
-    for (asked, states) in cases.chain(late.clone().map(|asked| (asked, &[P, I, AI][..]))) {
-        for profile in [Profile::Paper, Profile::Reference] {
-            check(asked, profile, states, false);
+    for profile in [Profile::Paper, Profile::Reference] {
+        for (policies, states) in cases {
+            for asked in policies.split(' ') {
+                check(asked, profile, states, Answers::AtOnce);
+            }
+        }
+        for asked in late.clone() {
+            check(asked, profile, &[P, I, AI], Answers::AtOnce);
         }
     }
     for asked in late {
-        check(asked, Profile::Paper, &[P, I, AI], true);
+        check(asked, Profile::Paper, &[P, I, AI], Answers::Late);
     }
 }
 
-fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
+/// When a policy gets the evidence of a frame.
+enum Answers {
+    AtOnce,
+    Late,
+}
+
+fn check(asked: &str, profile: Profile, states: &[FrameState], answers: Answers) {
     let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
     config.profile = profile;
@@ -141,15 +156,18 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     } else {
         stripes
     };
-    let film: Vec<Frame> = (0..PERIOD).map(|frame| (detections(frame), picture(frame))).collect();
-    let mut decider: Box<Decide<'_>> = if late {
-        two_frames_late(policy, &film)
-    } else {
-        Box::new(
+    let frame = |offset: usize| Frame {
+        detections: detections(offset),
+        pixels: picture(offset),
+    };
+    let film: Vec<Frame> = (0..PERIOD).map(frame).collect();
+    let mut decider: Box<Decide<'_>> = match answers {
+        Answers::Late => two_frames_late(policy, &film),
+        Answers::AtOnce => Box::new(
             move |head: FrameHead, mut known: FrameEvidence<'_>, outcome: &mut Outcome| {
                 let Ok(()) = decide(&mut *policy, head, &mut known, outcome);
             },
-        )
+        ),
     };
     let mut first = 0;
     // The minimum of several rounds, since the test's main thread may allocate in parallel.

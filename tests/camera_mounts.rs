@@ -42,9 +42,9 @@ fn picture() -> Vec<u8> {
 
 /// A published point in the picture as it was sent, by the arithmetic of docs/messages.md.
 fn back([x, y]: [f64; 2], [width, height]: [f64; 2]) -> [f64; 2] {
-    let (x, y) = (x / width, 0.1 + y / height * (0.9 - 0.1));
-    let x = 1.0 - x;
-    [y * SENT[0], (1.0 - x) * SENT[1]]
+    let uncropped = 0.1 + y / height * (0.9 - 0.1);
+    let unflipped = 1.0 - x / width;
+    [uncropped * SENT[0], (1.0 - unflipped) * SENT[1]]
 }
 
 async fn shown(node: &Node, path: &str) -> Picture {
@@ -123,33 +123,27 @@ async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_page_and_re
         let [only] = &found["boxes"].as_array().unwrap()[..] else {
             panic!("{name}: not one box: {found}");
         };
-        let place = |at: usize| only["box"][at].as_f64().unwrap();
-        let one = back([place(0), place(1)], size);
-        let other = back([place(2), place(3)], size);
-        let sent = [
-            one[0].min(other[0]),
-            one[1].min(other[1]),
-            one[0].max(other[0]),
-            one[1].max(other[1]),
-        ];
+        let side = |index: usize| only["box"][index].as_f64().unwrap();
+        let [x1, y1] = back([side(0), side(1)], size);
+        let [x2, y2] = back([side(2), side(3)], size);
+        let sent = [x1.min(x2), y1.min(y2), x1.max(x2), y1.max(y2)];
         for (found, expected) in sent.iter().zip(RED) {
             assert!((found - expected).abs() < 4.0, "{name}: {sent:?}");
         }
 
         let picture = shown(&node, &format!("/api/v1/cameras/{name}/frame.jpg")).await;
         assert_masked(&picture, name);
-        let drawn = shown(
-            &node,
-            &format!("/api/v1/cameras/{name}/frame.jpg?boxes=true"),
-        )
-        .await;
+        let with_boxes = format!("/api/v1/cameras/{name}/frame.jpg?boxes=true");
+        let drawn = shown(&node, &with_boxes).await;
         assert_eq!(drawn.size, picture.size);
     }
     session.close().await.unwrap();
-    let (.., folder) = node.stop().await;
+    let folder = node.stop().await.folder;
     for name in ["front", "rear"] {
         let pictures = recorded(&folder.path().join("recordings"), name);
         assert!(!pictures.is_empty());
-        pictures.iter().for_each(|picture| assert_masked(picture, name));
+        for picture in &pictures {
+            assert_masked(picture, name);
+        }
     }
 }

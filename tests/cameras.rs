@@ -93,13 +93,13 @@ impl Publisher {
 }
 
 fn children(parent: u32) -> Vec<u32> {
-    let threads = std::fs::read_dir(format!("/proc/{parent}/task")).unwrap();
-    let files = threads.map(|thread| thread.unwrap().path().join("children"));
-    let listed = files
-        .map(|file| std::fs::read_to_string(file).unwrap_or_default())
-        .collect::<String>();
-    let ids = listed.split_whitespace();
-    ids.map(|id| id.parse().unwrap()).collect()
+    let mut children = Vec::new();
+    for thread in std::fs::read_dir(format!("/proc/{parent}/task")).unwrap() {
+        let file = thread.unwrap().path().join("children");
+        let listed = std::fs::read_to_string(file).unwrap_or_default();
+        children.extend(listed.split_whitespace().map(|id| id.parse::<u32>().unwrap()));
+    }
+    children
 }
 
 fn command_line(process: u32) -> String {
@@ -147,7 +147,9 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let lines: Vec<_> = programs.iter().map(|id| command_line(*id)).collect();
     let is_ffmpeg = |line: &String| line.starts_with("ffmpeg ");
     assert!(lines.iter().any(is_ffmpeg), "{lines:?}");
-    lines.iter().for_each(|line| assert_hidden(line));
+    for line in &lines {
+        assert_hidden(line);
+    }
 
     camera.kill().await;
     let ready = async || node.text("/readyz").await;
@@ -166,7 +168,7 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     assert_contains(&shown, &["; next attempt in ", &address]);
     assert_hidden(&shown);
     let programs = children(node.id());
-    let (_, log) = node.stop_well().await;
+    let log = node.stop_well().await.log;
     assert_contains(&log, &["next attempt in"]);
     assert_hidden(&log);
     for process in programs {
@@ -299,7 +301,7 @@ async fn a_failed_source_reports_why_and_when_it_retries() {
     assert!(entry.get("key").is_none(), "{entry}");
     let reason = "\"reason\":\"failed: 401 Unauthorized: refused 2 times";
     assert_contains(&node.text("/readyz").await, &[reason]);
-    let (_, _, log, _) = node.stop().await;
+    let log = node.stop().await.log;
     let attempts = log.matches("next attempt in ").count();
     assert_eq!(attempts, 2, "once for each attempt: {log}");
     assert_hidden(&log);

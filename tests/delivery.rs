@@ -69,9 +69,10 @@ impl Hub {
         let query = next(&mut self.queries).await;
         let payload = query.payload().unwrap().to_bytes();
         assert!(payload.len() < 1 << 20, "a batch is below 1 MiB");
-        let reports = ReportBatch::from_payload(&payload).unwrap().reports;
-        let reports = reports.iter().map(|one| (one.id, one.count.unwrap()));
-        (query, reports.collect())
+        let batch = ReportBatch::from_payload(&payload).unwrap();
+        let reports = batch.reports.iter();
+        let counted = reports.map(|report| (report.id, report.count.unwrap()));
+        (query, counted.collect())
     }
 
     /// Acknowledges everything until it has exactly the first `reports` reports, each once and in order.
@@ -107,7 +108,7 @@ async fn closed_clips_survive_kills_the_open_one_a_stop_and_all_wait_for_the_ans
             let heard = async || camera.reported().len() == 3;
             until("the camera's session hears the reports", heard).await;
             camera.close().await;
-            (_, _, _, folder) = node.stop().await;
+            folder = node.stop().await.folder;
         }
     }
     let node = Node::start_in(folder, &settings).await;
@@ -159,17 +160,19 @@ async fn a_busy_hub_is_asked_again_after_the_time_it_names_or_when_the_node_stop
     stopping.await.unwrap();
 }
 
+/// The times that detections take, and those of HTTP.
 async fn times(node: &Node, camera: &mut Camera, frames: u64) -> [Vec<Duration>; 2] {
-    let mut took = [Vec::new(), Vec::new()];
+    let mut detections = Vec::new();
+    let mut http = Vec::new();
     for _ in 0..frames {
         let start = Instant::now();
         camera.clips(1).await;
-        took[0].push(start.elapsed());
+        detections.push(start.elapsed());
         let start = Instant::now();
         assert_contains(&node.text("/healthz").await, &["ok"]);
-        took[1].push(start.elapsed());
+        http.push(start.elapsed());
     }
-    took
+    [detections, http]
 }
 
 fn median(times: &[Duration]) -> Duration {
@@ -185,7 +188,7 @@ async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
     let (node, mut camera) = node_and_camera().await;
     let without = times(&node, &mut camera, 200).await;
     let endpoint = format!("{}#so_rcvbuf=4096", node.zenoh);
-    let deaf = Client::listen(&endpoint, "albireo/node/**", false).await;
+    let deaf = Client::listen(&endpoint, "albireo/node/**").await;
     deaf.freeze();
     // Two messages per frame, among them a clip report: far more than the buffers in between hold.
     let with = times(&node, &mut camera, 1700).await;

@@ -26,8 +26,8 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
             .await
             .unwrap()
             .expect("the demonstration prints where its hub is");
-        if let Some(rest) = line.split("hub      curl ").nth(1) {
-            break rest.trim_end_matches("/api/v1/clips").to_owned();
+        if let Some((_, url)) = line.split_once("hub      curl ") {
+            break url.trim_end_matches("/api/v1/clips").to_owned();
         }
     };
     let page = format!("{hub}/api/v1/clips");
@@ -52,11 +52,11 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     assert_contains(&said, &["detector skipped on"]);
     // An uninterrupted table of the road's clips, in order, follows the first detection.
     let (_, after) = said.split_once("first detection after").expect(&said);
-    let mut after = after.lines().skip(1);
-    assert_eq!(after.next().unwrap(), "");
-    assert!(after.next().unwrap().starts_with("clip "), "{said}");
-    let table = after.take_while(|line| !line.is_empty());
-    let clips: Vec<_> = table.map(|line| line.split_whitespace().next()).collect();
+    let mut lines = after.lines().skip(1);
+    assert_eq!(lines.next().unwrap(), "");
+    assert!(lines.next().unwrap().starts_with("clip "), "{said}");
+    let rows = lines.take_while(|line| !line.is_empty());
+    let clips: Vec<_> = rows.map(|row| row.split_whitespace().next()).collect();
     assert!(clips.len() >= 2, "{said}");
     let road = ["busy", "sparse", "two-near", "empty-then-car"];
     for (number, clip) in clips.iter().enumerate() {

@@ -14,12 +14,16 @@ fn text(path: &str) -> String {
 
 /// The metrics that a text names. Labels and their values have other beginnings.
 fn metrics_in(text: &str) -> BTreeSet<&str> {
-    let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_' || c == ':'));
-    let words = words.map(|word| word.trim_end_matches(':'));
-    words
-        .filter(|word| word.starts_with("albireo") || word.starts_with("process_"))
-        .filter(|word| *word != "albireo")
-        .collect()
+    let is_of_a_name = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == ':';
+    let mut names = BTreeSet::new();
+    for word in text.split(|c: char| !is_of_a_name(c)) {
+        let name = word.trim_end_matches(':');
+        let is_ours = name.starts_with("albireo") && name != "albireo";
+        if is_ours || name.starts_with("process_") {
+            names.insert(name);
+        }
+    }
+    names
 }
 
 fn dashboards() -> Vec<(String, String)> {
@@ -124,10 +128,8 @@ fn the_map_of_the_dashboard_asks_the_hub_through_a_provisioned_data_source() {
     let mut panels = fleet["panels"].as_array().unwrap().iter();
     let map = panels.find(|panel| panel["type"] == "geomap").unwrap();
     let asked = map["options"]["layers"][0]["config"]["src"].as_str().unwrap();
-    let (source, path) = asked
-        .strip_prefix("api/datasources/proxy/uid/")
-        .and_then(|rest| rest.split_once('/'))
-        .unwrap();
+    let asked = asked.strip_prefix("api/datasources/proxy/uid/").unwrap();
+    let (source, path) = asked.split_once('/').unwrap();
     let sources = text("grafana/provisioning/datasources/prometheus.yml");
     assert!(sources.contains(&format!("uid: {source}\n")), "{sources}");
     let described = serde_json::to_value(albireo_hub::http::openapi()).unwrap();

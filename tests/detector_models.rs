@@ -48,17 +48,17 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
     let detected = detector.detect(CAMERA, picture).await.unwrap();
     assert_eq!(detector.model_name(), file);
     for (score, place) in cars {
-        let found = detected.output.detections.iter().any(|detection| {
+        let is_found = detected.output.detections.iter().any(|detection| {
             let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(size);
             let mut sides = [x1, y1, x2, y2].into_iter().zip(place);
             detector.class_names()[usize::from(detection.class.0)] == "car"
                 && (detection.confidence - score).abs() <= 0.01
                 && sides.all(|(found, expected)| (found - expected).abs() <= 2.0)
         });
-        assert!(found, "no {score} {place:?} among {detected:?}");
+        assert!(is_found, "no {score} {place:?} among {detected:?}");
     }
-    let only_these = detected.output.detections.len() == 2;
-    assert!(names.is_some() || only_these, "{detected:?}");
+    let are_all = detected.output.detections.len() == 2;
+    assert!(names.is_some() || are_all, "{detected:?}");
     detector.stop().await;
 }
 
@@ -80,8 +80,9 @@ async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
         let verdict = screen.ask(CAMERA, picture).await.unwrap();
         assert_eq!(verdict.empty, number == 5);
         for (logit, expected) in verdict.logits.into_iter().zip(expected) {
-            let close = (logit - expected).abs() <= 0.05 + 0.01 * f32::abs(expected);
-            assert!(close, "frame {number}: {logit} instead of {expected}");
+            let tolerance = 0.05 + 0.01 * f32::abs(expected);
+            let is_close = (logit - expected).abs() <= tolerance;
+            assert!(is_close, "frame {number}: {logit} instead of {expected}");
         }
     }
     screen.stop().await;

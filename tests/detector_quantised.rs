@@ -19,17 +19,28 @@ fn network(file: &str) -> DetectorNetwork {
     .unwrap()
 }
 
-/// Overlap and difference of confidence of each detection in `sure` with the nearest of `others`; `None` if missed.
-fn agreement(sure: &[Detection], others: &[Detection]) -> Vec<Option<(f64, f64)>> {
+/// A detection of one model beside the nearest of the other.
+struct Agreement {
+    overlap: f64,
+    /// The difference of their confidences.
+    difference: f64,
+}
+
+/// Each sure detection of `ours` beside the nearest of `others`; `None` if missed.
+fn agreement(ours: &[Detection], others: &[Detection]) -> Vec<Option<Agreement>> {
     let mut agreements = Vec::new();
-    for wanted in sure.iter().filter(|found| found.confidence >= SURE) {
+    for wanted in ours.iter().filter(|found| found.confidence >= SURE) {
         let mut nearest = None;
         let mut largest = 0.5;
         for other in others.iter().filter(|other| other.class == wanted.class) {
             let overlap = wanted.bounding_box.intersection_over_union(other.bounding_box);
             if overlap >= largest {
                 largest = overlap;
-                nearest = Some((overlap, (other.confidence - wanted.confidence).abs()));
+                let difference = (other.confidence - wanted.confidence).abs();
+                nearest = Some(Agreement {
+                    overlap,
+                    difference,
+                });
             }
         }
         agreements.push(nearest);
@@ -60,8 +71,8 @@ fn a_quantised_export_is_read_like_its_original_and_finds_what_that_finds() {
     let clips = road.unwrap().into_clips();
     // It is outside the calibration data.
     let mut clip = clips.into_iter().find(|one| one.name() == "busy").unwrap();
-    let encoded = std::iter::from_fn(|| clip.next().unwrap());
-    for encoded in encoded.step_by(3) {
+    let frames = std::iter::from_fn(|| clip.next().unwrap());
+    for encoded in frames.step_by(3) {
         let picture = decoded(&encoded);
         let [first, second] = [&mut float, &mut quantised].map(|network| {
             let prepared = network.preparation().prepare(&picture).unwrap();
@@ -73,7 +84,9 @@ fn a_quantised_export_is_read_like_its_original_and_finds_what_that_finds() {
     }
     let asked = compared.len();
     assert!(asked >= 60, "only {asked} objects to compare");
-    let (mut overlaps, mut differences): (Vec<_>, Vec<_>) = compared.into_iter().flatten().unzip();
+    let found = compared.iter().flatten();
+    let mut overlaps: Vec<_> = found.clone().map(|one| one.overlap).collect();
+    let mut differences: Vec<_> = found.map(|one| one.difference).collect();
     let missed = asked - overlaps.len();
     assert!(missed * 25 <= asked, "missed {missed} of {asked}");
     let overlap = median(&mut overlaps);

@@ -35,11 +35,16 @@ fn pages() -> Vec<String> {
     let folders = [
         "", "docs/", "demo/", "models/", "config/", "deploy/", "benches/", "web/",
     ];
-    let names = folders.iter().flat_map(|folder| {
-        let entries = std::fs::read_dir(project(folder)).unwrap();
-        entries.map(move |entry| format!("{folder}{}", entry.unwrap().file_name().display()))
-    });
-    names.filter(|name| name.ends_with(".md")).collect()
+    let mut pages = Vec::new();
+    for folder in folders {
+        for entry in std::fs::read_dir(project(folder)).unwrap() {
+            let page = format!("{folder}{}", entry.unwrap().file_name().display());
+            if page.ends_with(".md") {
+                pages.push(page);
+            }
+        }
+    }
+    pages
 }
 
 fn blocks() -> Vec<Block> {
@@ -50,9 +55,12 @@ fn blocks() -> Vec<Block> {
         let mut before = parts.next().unwrap();
         while let (Some(inside), Some(outside)) = (parts.next(), parts.next()) {
             let (kind, lines) = inside.split_once('\n').unwrap();
-            let lines = lines.replace("\\\n", " ");
-            let lines = lines.lines().map(|line| line.trim().to_owned());
-            let commands: Vec<_> = lines.filter(|line| !words(line).is_empty()).collect();
+            let mut commands = Vec::new();
+            for line in lines.replace("\\\n", " ").lines() {
+                if !words(line.trim()).is_empty() {
+                    commands.push(line.trim().to_owned());
+                }
+            }
             let is_command = |line: &String| {
                 ["albireo", "make", "cargo", "curl", "docker"].contains(&&*words(line)[0])
             };
@@ -79,11 +87,9 @@ fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
 
 /// The words of a command, without variables before it and a comment after it.
 fn words(line: &str) -> Vec<String> {
-    let words = shlex::split(line.trim_end_matches('&'))
-        .unwrap_or_default()
-        .into_iter()
-        .skip_while(|word| word.contains('='));
-    words.collect()
+    let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
+    let command = words.into_iter().skip_while(|word| word.contains('='));
+    command.collect()
 }
 
 #[test]
@@ -119,11 +125,11 @@ fn the_pages_are_few_and_the_readme_links_each() {
 fn anchors(page: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(page).unwrap();
     let headings = text.lines().filter(|line| line.starts_with('#'));
-    let kept = |c: &char| c.is_alphanumeric() || [' ', '-', '_'].contains(c);
+    let is_kept = |c: &char| c.is_alphanumeric() || [' ', '-', '_'].contains(c);
     let anchor = |heading: &str| {
         let words = heading.trim_start_matches('#').trim().to_lowercase();
-        let words: String = words.chars().filter(kept).collect();
-        words.replace(' ', "-")
+        let kept: String = words.chars().filter(is_kept).collect();
+        kept.replace(' ', "-")
     };
     headings.map(anchor).collect()
 }
@@ -138,17 +144,19 @@ fn every_linked_or_named_file_exists_with_the_heading_of_the_link() {
     for name in pages() {
         let text = text(&name);
         let page = project(&name);
-        let links = text.split("](").skip(1);
-        let links = links.filter_map(|rest| rest.split(')').next());
-        for link in links.filter(|link| !link.contains("://")) {
+        for rest in text.split("](").skip(1) {
+            let (link, _) = rest.split_once(')').unwrap_or((rest, ""));
+            if link.contains("://") {
+                continue;
+            }
             let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
             let target = match file {
                 "" => page.clone(),
                 file => page.parent().unwrap().join(file),
             };
-            let leads = target.exists()
-                && (anchor.is_empty() || anchors(&target).iter().any(|known| known == anchor));
-            if !leads {
+            let has_anchor =
+                || anchor.is_empty() || anchors(&target).iter().any(|known| known == anchor);
+            if !target.exists() || !has_anchor() {
                 missing.push(format!("{name}: {link}"));
             }
             seen += 1;
@@ -277,11 +285,18 @@ async fn the_documented_commands_run_in_order() {
     let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
     // Independent commands run in parallel.
-    let (with_node, without): (Vec<_>, Vec<_>) = commands
-        .into_iter()
-        .partition(|command| command.contains("curl ") || command.contains(" replay "));
-    let (comparing, others): (Vec<_>, Vec<_>) =
-        without.into_iter().partition(|command| command.contains(" compare "));
+    let mut with_node = Vec::new();
+    let mut comparing = Vec::new();
+    let mut others = Vec::new();
+    for command in commands {
+        if command.contains("curl ") || command.contains(" replay ") {
+            with_node.push(command);
+        } else if command.contains(" compare ") {
+            comparing.push(command);
+        } else {
+            others.push(command);
+        }
+    }
     let run = async |commands: Vec<String>| {
         for command in commands {
             let mut line = command

@@ -15,9 +15,12 @@ fn sample(cameras: &[Camera], share: f64, seed: u64) -> AuditSums {
     let mut sums = AuditSums::default();
     for (camera, frames) in (0u64..).zip(cameras) {
         let draw = AuditDraw::new(share, (seed << 16) + camera);
-        let drawn = (0..).zip(frames).filter(|(index, _)| draw.draw(*index));
-        for compared in drawn.filter_map(|(_, compared)| compared.as_ref()) {
-            sums.merge(compared);
+        for (index, frame) in (0..).zip(frames) {
+            if draw.draw(index)
+                && let Some(compared) = frame
+            {
+                sums.merge(compared);
+            }
         }
     }
     sums
@@ -48,11 +51,12 @@ fn shared_audit_estimates_are_unbiased_and_their_intervals_hold_at_the_promised_
             let samples: Vec<_> = (0..1000).map(|seed| sample(&cameras, share, seed)).collect();
             for rate in [AuditSums::recall, AuditSums::precision] {
                 let truth = rate(&all).expect("there are boxes").rate;
-                let found: Vec<AuditRate> = samples.iter().filter_map(rate).collect();
-                let count = found.len() as f64;
-                let bias = found.iter().map(|one| one.rate).sum::<f64>() / count - truth;
-                let holds = |one: &&AuditRate| (one.low..=one.high).contains(&truth);
-                let held = found.iter().filter(holds).count() as f64 / count;
+                let estimates: Vec<AuditRate> = samples.iter().filter_map(rate).collect();
+                let count = estimates.len() as f64;
+                let mean = estimates.iter().map(|estimate| estimate.rate).sum::<f64>() / count;
+                let bias = mean - truth;
+                let covers = |rate: &&AuditRate| (rate.low..=rate.high).contains(&truth);
+                let held = estimates.iter().filter(covers).count() as f64 / count;
                 println!("{policy} at {share}: {truth:.3}, bias {bias:.4}, held {held:.3}");
                 assert!(bias.abs() < 0.003, "{policy} at {share}: {bias}");
                 assert!(held >= 0.93, "{policy} at {share}: {held}");

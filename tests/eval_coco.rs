@@ -22,27 +22,27 @@ struct Case {
 
 /// A case in the format of the script.
 fn frames(case: &Case) -> Value {
-    let row = |b: &ScoredBox| {
-        let c = b.corners;
-        json!([c.x1, c.y1, c.x2, c.y2, b.class.0, b.confidence])
+    let scored_row = |found: &ScoredBox| {
+        let c = found.corners;
+        json!([c.x1, c.y1, c.x2, c.y2, found.class.0, found.confidence])
     };
-    let marked = |ignored: &Ignored| {
+    let ignored_row = |ignored: &Ignored| {
         let c = ignored.corners;
-        let kind = if ignored.mark == Mark::Crowd {
-            "crowd"
-        } else {
-            "object"
+        let kind = match ignored.mark {
+            Mark::Crowd => "crowd",
+            _ => "object",
         };
         json!([c.x1, c.y1, c.x2, c.y2, ignored.class.unwrap().0, kind])
     };
-    let frames = case.predictions.iter().zip(&case.truth).enumerate().map(|(index, boxes)| {
-        let predictions: Vec<Value> = boxes.0.iter().map(row).collect();
-        let truth: Vec<Value> = boxes.1.iter().map(row).collect();
-        let ignored: Vec<Value> =
-            case.ignored.get(index).into_iter().flatten().map(marked).collect();
-        json!({"predictions": predictions, "truth": truth, "ignored": ignored})
-    });
-    frames.collect()
+    let mut frames = Vec::new();
+    for (index, (predictions, truth)) in case.predictions.iter().zip(&case.truth).enumerate() {
+        let predictions: Vec<Value> = predictions.iter().map(scored_row).collect();
+        let truth: Vec<Value> = truth.iter().map(scored_row).collect();
+        let ignored = case.ignored.get(index).into_iter().flatten();
+        let ignored: Vec<Value> = ignored.map(ignored_row).collect();
+        frames.push(json!({"predictions": predictions, "truth": truth, "ignored": ignored}));
+    }
+    frames.into()
 }
 
 fn assert_agreement(cases: &[Case]) {
@@ -65,19 +65,23 @@ fn assert_agreement(cases: &[Case]) {
                 .expect("there is ground truth");
             for (figure, value) in [("ap50", ours.ap50), ("map", ours.map)] {
                 let expected = theirs[name][figure].as_f64().expect("a number");
-                let off = (value - expected).abs();
-                assert!(
-                    off < 1e-6,
-                    "{} {name} {figure}: {value}, {expected}",
-                    case.name
-                );
+                let what = format!("{} {name} {figure}", case.name);
+                let difference = (value - expected).abs();
+                assert!(difference < 1e-6, "{what}: {value}, {expected}");
             }
         }
     }
 }
 
-/// Random boxes of three classes on 60 frames, some without any. `marked`: some objects are ignored, and there are crowds.
-fn random_case(seed: u64, marked: bool) -> Case {
+/// Whether some objects of a case are ignored, and there are crowds.
+#[derive(Clone, Copy)]
+enum Marks {
+    None,
+    Some,
+}
+
+/// Random boxes of three classes on 60 frames, some without any.
+fn random_case(seed: u64, marks: Marks) -> Case {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     let mut uniform = move || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     let mut case = Case {
@@ -96,13 +100,13 @@ fn random_case(seed: u64, marked: bool) -> Case {
             let class = (uniform() * 3.0) as u16;
             let sides = [x, y, x + w, y + h];
             let known = scored(sides, class, 1.0);
-            let kind = if marked { uniform() } else { 1.0 };
+            let kind = match marks {
+                Marks::None => 1.0,
+                Marks::Some => uniform(),
+            };
+            let is_crowd = kind < 0.1;
             if kind < 0.25 {
-                let mark = if kind < 0.1 {
-                    Mark::Crowd
-                } else {
-                    Mark::Object
-                };
+                let mark = if is_crowd { Mark::Crowd } else { Mark::Object };
                 ignored.push(Ignored {
                     corners: known.corners,
                     class: Some(known.class),
@@ -113,17 +117,13 @@ fn random_case(seed: u64, marked: bool) -> Case {
             }
             // Most are found, roughly, some twice, some with a wrong class; in a crowd, parts of it.
             while uniform() < 0.6 {
-                let part = if kind < 0.1 {
-                    0.3 + 0.7 * uniform()
-                } else {
-                    1.0
-                };
-                let near = [x, y, x + part * w, y + part * h];
-                let near = near.map(|side| side + (uniform() - 0.5) * 16.0);
+                let part = if is_crowd { 0.3 + 0.7 * uniform() } else { 1.0 };
+                let exact = [x, y, x + part * w, y + part * h];
+                let [x1, y1, x2, y2] = exact.map(|side| side + (uniform() - 0.5) * 16.0);
                 let class = if uniform() < 0.9 { class } else { 1 };
                 // The part of a crowd may have been cut to nothing.
-                if near[2] - near[0] > 1.0 && near[3] - near[1] > 1.0 {
-                    found.push(scored(near, class, uniform()));
+                if x2 - x1 > 1.0 && y2 - y1 > 1.0 {
+                    found.push(scored([x1, y1, x2, y2], class, uniform()));
                 }
             }
         }
@@ -137,13 +137,13 @@ fn random_case(seed: u64, marked: bool) -> Case {
 #[test]
 #[ignore = "needs Python"]
 fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
-    assert_agreement(&[random_case(7, false)]);
+    assert_agreement(&[random_case(7, Marks::None)]);
 }
 
 #[test]
 #[ignore = "needs Python"]
 fn python_crowds_and_ignored_objects_are_judged_as_in_pycocotools() {
-    let cases: Vec<Case> = (1..=5).map(|seed| random_case(seed, true)).collect();
+    let cases: Vec<Case> = (1..=5).map(|seed| random_case(seed, Marks::Some)).collect();
     let marked = cases.iter().flat_map(|case| &case.ignored).flatten();
     let crowds = marked.clone().filter(|marked| marked.mark == Mark::Crowd).count();
     assert!(crowds > 50 && marked.count() > 2 * crowds);

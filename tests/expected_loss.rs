@@ -24,8 +24,8 @@ fn accuracy(recordings: &Recordings, skip_rate: f64) -> f64 {
     let points = [-0.02, -0.01, 0.0, 0.01, 0.02].map(|offset| at(offset).expect("it runs"));
     let count = points.len() as f64;
     let reached = points.iter().map(Point::skip_rate).sum::<f64>() / count;
-    let off = (reached - skip_rate).abs();
-    assert!(off < 0.004, "{reached} for {skip_rate}");
+    let difference = (reached - skip_rate).abs();
+    assert!(difference < 0.004, "{reached} for {skip_rate}");
     points.iter().map(ap50).sum::<f64>() / count
 }
 

@@ -52,7 +52,8 @@ impl Car {
         let node = Node::start_as(albireo_on_a_disk_that_fills(), folder, &self.settings).await;
         let mut camera = Camera::at(&node.zenoh, &self.name).await;
         camera.seq = self.seq;
-        (self.node, self.camera) = (Some(node), Some(camera));
+        self.node = Some(node);
+        self.camera = Some(camera);
     }
 
     pub(crate) async fn drive(&mut self, clips: u64) {
@@ -250,7 +251,11 @@ impl Fleet {
     async fn fill_disk(&mut self, part: usize) {
         self.heal().await;
         let (process, http) = self.process(part);
-        let reason = ["\"outbox\"", "\"database\""][usize::from(part == HUB)];
+        let reason = if part == HUB {
+            "\"database\""
+        } else {
+            "\"outbox\""
+        };
         let faulty = async || text_at(&format!("{http}/readyz")).await.contains(reason);
         until("it works", async || !faulty().await).await;
         limit(process, "--fsize=4096:");

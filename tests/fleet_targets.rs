@@ -5,10 +5,19 @@ use crate::support::fleet::HubProcess;
 use crate::support::{assert_contains, assert_has, json_at, run, until};
 use serde_json::{Value, json};
 
-fn fleet(hub: &HubProcess, words: &str) -> (String, Option<i32>) {
+/// What a command to the fleet said, to both outputs, and its exit code.
+struct Answer {
+    said: String,
+    code: Option<i32>,
+}
+
+fn fleet(hub: &HubProcess, words: &str) -> Answer {
     let words: Vec<_> = words.split(' ').collect();
     let ended = run(&[&["fleet", "--hub", &hub.http], &words[..]].concat(), &[]);
-    (ended.out + &ended.err, ended.code)
+    Answer {
+        said: ended.out + &ended.err,
+        code: ended.code,
+    }
 }
 
 async fn at_node(car: &Car) -> Value {
@@ -29,11 +38,11 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
         hub.until(&path, |node| node["status"].is_object()).await;
     }
     let order = "set-target skip_rate=0.5 --select car-* --why half --wait 60s";
-    let (said, code) = fleet(&hub, order);
+    let Answer { said, code } = fleet(&hub, order);
     assert_contains(&said, &[": 1 applied, 1 refused", "hold skip_rate 0.5"]);
     assert_eq!(code, Some(3), "{said}");
-    let revision = said.split("revision ").nth(1).unwrap();
-    let revision = revision.split(':').next().unwrap();
+    let (_, after) = said.split_once("revision ").unwrap();
+    let (revision, _) = after.split_once(':').unwrap();
     let refused = hub.get(&format!("/api/v1/revisions/{revision}")).await;
     let words = &refused["nodes"][1]["detail"];
     assert_contains(words, &["policy `vanilla` has no threshold"]);
@@ -49,17 +58,16 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     .await;
     let is_reported = |node: &Value| node["status"]["target"]["actual"].is_f64();
     hub.until("/api/v1/nodes/car-1", is_reported).await;
-    let (said, _) = fleet(&hub, "show car-1");
-    assert_contains(&said, &["target       skip_rate 0.5, now "]);
+    let shown = fleet(&hub, "show car-1").said;
+    assert_contains(&shown, &["target       skip_rate 0.5, now "]);
 
     car.end().await;
     car.start().await;
     assert_has(&at_node(&car).await, &held);
 
     let threshold = format!("{}/api/v1/threshold", car.node.as_ref().unwrap().http);
-    let turned = reqwest::Client::new().put(threshold);
-    let turned = turned.body(r#"{"lambda": 0.3}"#);
-    assert_eq!(turned.send().await.unwrap().status(), 200);
+    let put = reqwest::Client::new().put(threshold).body(r#"{"lambda": 0.3}"#);
+    assert_eq!(put.send().await.unwrap().status(), 200);
     let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
     let by_hand = json!({
         "desired": {"target": {"skip_rate": 0.5}},
@@ -67,19 +75,19 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
         "why": "the threshold was set by hand",
     });
     assert_has(&drift[0], &by_hand);
-    let (said, _) = fleet(&hub, "drift");
-    assert_contains(&said, &["hold skip_rate 0.5", "lambda 0.3"]);
+    let drifted = fleet(&hub, "drift").said;
+    assert_contains(&drifted, &["hold skip_rate 0.5", "lambda 0.3"]);
 
     // The target again, then a value instead, then no target is left to switch off.
     let again = r#"set-target {"skip_rate":0.5} --select car-1 --wait 60s"#;
-    assert_eq!(fleet(&hub, again).1, Some(0));
+    assert_eq!(fleet(&hub, again).code, Some(0));
     assert_eq!(at_node(&car).await["target"], json!({"skip_rate": 0.5}));
     let value = "set-u 0.4 --threshold lambda --select car-1 --wait 60s";
-    let (said, code) = fleet(&hub, value);
+    let Answer { said, code } = fleet(&hub, value);
     assert_contains(&said, &["hold skip_rate 0.5 -> lambda 0.4"]);
     assert_eq!(code, Some(0), "{said}");
     let off = json!({"target": null, "off": "the threshold was set by the hub"});
     assert_has(&at_node(&car).await, &off);
-    let (said, code) = fleet(&hub, "set-target off --select car-1");
+    let Answer { said, code } = fleet(&hub, "set-target off --select car-1");
     assert!(code == Some(0) && said.contains("1 unchanged"), "{said}");
 }

@@ -58,21 +58,28 @@ fn gradient(width: u32, height: u32) -> Vec<u8> {
     values.map(|value| value as u8).collect()
 }
 
-fn jpeg_file(width: u32, height: u32, color: JpegColor, progressive: bool) -> EncodedPicture {
+/// How a JPEG file stores its picture: once, or in scans that get finer and finer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Process {
+    Baseline,
+    Progressive,
+}
+
+fn jpeg_file(width: u32, height: u32, color: JpegColor, process: Process) -> EncodedPicture {
     let pixels = match color {
         JpegColor::Luma => luma_of(&gradient(width, height)),
         _ => gradient(width, height),
     };
     let mut file = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut file, 95);
-    encoder.set_progressive(progressive);
+    encoder.set_progressive(process == Process::Progressive);
     let written = encoder.encode(&pixels, width as u16, height as u16, color);
     written.unwrap();
     encoded(PictureFormat::Jpeg, width, height, file)
 }
 
-fn rgb_jpeg(width: u32, height: u32, progressive: bool) -> EncodedPicture {
-    jpeg_file(width, height, JpegColor::Rgb, progressive)
+fn rgb_jpeg(width: u32, height: u32, process: Process) -> EncodedPicture {
+    jpeg_file(width, height, JpegColor::Rgb, process)
 }
 
 fn png_file(
@@ -115,23 +122,24 @@ fn a_jpeg_decodes_to_the_encoded_picture_in_colour_and_in_grey() {
     // Among them sizes other than multiples of a block, and one below a block.
     for (width, height) in [(64, 48), (61, 35), (5, 3)] {
         let pixels = gradient(width, height);
-        for progressive in [false, true] {
-            let picture = rgb_jpeg(width, height, progressive);
+        for process in [Process::Baseline, Process::Progressive] {
+            let picture = rgb_jpeg(width, height, process);
             assert!(largest_difference(&rgb(&picture), &pixels) <= 12);
             assert!(largest_difference(&grey(&picture), &luma_of(&pixels)) <= 6);
         }
         let luma = luma_of(&pixels);
-        let picture = jpeg_file(width, height, JpegColor::Luma, false);
+        let picture = jpeg_file(width, height, JpegColor::Luma, Process::Baseline);
         assert!(largest_difference(&grey(&picture), &luma) <= 6);
         let rgb = rgb(&picture);
-        assert!(rgb.chunks(3).all(|p| p[0] == p[1] && p[1] == p[2]));
+        let is_grey = |pixel: &[u8]| pixel[0] == pixel[1] && pixel[1] == pixel[2];
+        assert!(rgb.chunks(3).all(is_grey));
     }
 }
 
 #[test]
 fn a_truncated_jpeg_is_undecodable_and_bytes_after_its_end_are_ignored() {
-    for progressive in [false, true] {
-        let whole = rgb_jpeg(64, 48, progressive);
+    for process in [Process::Baseline, Process::Progressive] {
+        let whole = rgb_jpeg(64, 48, process);
         for length in 0..whole.bytes.len() - 1 {
             let cut = EncodedPicture {
                 bytes: whole.bytes.slice(..length),
@@ -140,7 +148,7 @@ fn a_truncated_jpeg_is_undecodable_and_bytes_after_its_end_are_ignored() {
             assert_eq!(fault_of(&cut), "undecodable", "{length}");
         }
     }
-    let whole = rgb_jpeg(32, 16, false);
+    let whole = rgb_jpeg(32, 16, Process::Baseline);
     let padded = [&whole.bytes[..], &[0; 64]].concat();
     let padded = encoded(PictureFormat::Jpeg, 32, 16, padded);
     assert_eq!(rgb(&padded), rgb(&whole));
@@ -166,18 +174,22 @@ fn a_jpeg_that_ends_before_its_last_pixels_is_told_from_one_that_ends_in_grey() 
     let grey = vec![128; 64 * 48 * 3];
     let ending_in_grey: Vec<u8> = [&gradient(64, 24)[..], &grey[..64 * 24 * 3]].concat();
     // A progressive file that is cut is coarse, and each of its scans may be its last.
-    for (restarts, progressive) in [(0, false), (3, false), (0, true)] {
+    for (restarts, process) in [
+        (0, Process::Baseline),
+        (3, Process::Baseline),
+        (0, Process::Progressive),
+    ] {
         for pixels in [&gradient(64, 48), &ending_in_grey, &grey] {
             let mut bytes = Vec::new();
             let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 90);
-            encoder.set_progressive(progressive);
+            encoder.set_progressive(process == Process::Progressive);
             encoder.set_restart_interval(restarts);
             encoder.encode(pixels, 64, 48, JpegColor::Rgb).unwrap();
             let whole = encoded(PictureFormat::Jpeg, 64, 48, bytes);
             for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
-                let about = format!("{restarts} {progressive} {layout:?}");
+                let about = format!("{restarts} {process:?} {layout:?}");
                 assert!(decoded(&whole, layout).is_ok(), "{about}");
-                if progressive {
+                if process == Process::Progressive {
                     continue;
                 }
                 for share in [0.1, 0.5, 0.9] {
@@ -192,7 +204,7 @@ fn a_jpeg_that_ends_before_its_last_pixels_is_told_from_one_that_ends_in_grey() 
 
 #[test]
 fn a_picture_of_another_size_than_announced_is_undecodable() {
-    let jpeg = rgb_jpeg(32, 16, false);
+    let jpeg = rgb_jpeg(32, 16, Process::Baseline);
     let png = png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &gradient(32, 16));
     for picture in [jpeg, png] {
         for (width, height) in [(16, 16), (32, 32), (64, 64)] {
@@ -308,21 +320,21 @@ fn grey_is_halved_by_area() {
 
 #[test]
 fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
-    for (width, height, least, expected) in [
-        (1280, 720, 320, (320, 180)),
-        (960, 540, 320, (480, 270)),
-        (1920, 1080, 320, (480, 270)),
-        (638, 360, 320, (638, 360)),
-        (200, 100, 320, (200, 100)),
+    const LEAST_WIDTH: u32 = 320;
+    for (width, height, expected) in [
+        (1280, 720, PictureSize::new(320, 180)),
+        (960, 540, PictureSize::new(480, 270)),
+        (1920, 1080, PictureSize::new(480, 270)),
+        (638, 360, PictureSize::new(638, 360)),
+        (200, 100, PictureSize::new(200, 100)),
     ] {
         let bytes = vec![77; width as usize * height as usize];
         let raw = encoded(PictureFormat::Gray8, width, height, bytes);
-        for picture in [raw, rgb_jpeg(width, height, false)] {
+        for picture in [raw, rgb_jpeg(width, height, Process::Baseline)] {
             let mut into = Picture::default();
-            decode_small_grey(&picture, &FrameLimits::default(), least, &mut into).unwrap();
-            let expected = PictureSize::new(expected.0, expected.1);
-            let pixels = into.pixels.len() as u64;
-            assert_eq!((into.size, pixels), (expected, expected.pixels()));
+            decode_small_grey(&picture, &FrameLimits::default(), LEAST_WIDTH, &mut into).unwrap();
+            assert_eq!(into.size, expected);
+            assert_eq!(into.pixels.len() as u64, expected.pixels());
             assert_eq!(into.source_size, PictureSize::new(width, height));
         }
     }
@@ -331,7 +343,7 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
 #[test]
 fn every_format_can_be_shown_as_jpeg() {
     let limits = FrameLimits::default();
-    let jpeg = rgb_jpeg(32, 16, false);
+    let jpeg = rgb_jpeg(32, 16, Process::Baseline);
     assert_eq!(to_jpeg(&jpeg, &limits).unwrap(), jpeg.bytes);
     let pixels = gradient(32, 16);
     let png = png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels);
@@ -351,8 +363,8 @@ fn specimens() -> Vec<EncodedPicture> {
     let clear = |p: &[u8]| [p[0], p[1], p[2], 5];
     let rgba: Vec<u8> = pixels.chunks(3).flat_map(clear).collect();
     vec![
-        rgb_jpeg(40, 24, false),
-        rgb_jpeg(40, 24, true),
+        rgb_jpeg(40, 24, Process::Baseline),
+        rgb_jpeg(40, 24, Process::Progressive),
         png_file(40, 24, ColorType::Rgb, BitDepth::Eight, &pixels),
         png_file(40, 24, ColorType::Rgba, BitDepth::Eight, &rgba),
     ]
@@ -406,10 +418,7 @@ fn shared_a_frame_in_the_forms_of_cameras_is_decoded_or_refused() {
     assert_eq!(without_tables.size, size);
     // The stored picture lies on its side.
     let (turned_size, turned) = read("exif_orientation_6.jpg").unwrap();
-    assert_eq!(
-        (turned.size, turned.source_size),
-        (turned_size, turned_size)
-    );
+    assert_eq!([turned.size, turned.source_size], [turned_size; 2]);
     let mean = |picture: &Picture| {
         let sum: u64 = picture.pixels.iter().map(|&value| u64::from(value)).sum();
         sum as f64 / picture.pixels.len() as f64

@@ -101,10 +101,10 @@ async fn reports_wait_while_a_hub_has_a_read_only_database_or_another_prefix() {
     deliver(&session, NODE, 1..=stored, begun).await;
     let read_only = ("ALBIREO_DATABASE__URL", format!("{database}?mode=ro"));
     let prefix = ("ALBIREO_HUB__PREFIX", "fleet/north".to_owned());
-    for other in [read_only, prefix] {
-        let with_prefix = other.0 == "ALBIREO_HUB__PREFIX";
+    for (name, value) in [read_only, prefix] {
+        let with_prefix = name == "ALBIREO_HUB__PREFIX";
         hub.kill().await;
-        hub = HubProcess::start(&[&settings[..], &[other]].concat());
+        hub = HubProcess::start(&[&settings[..], &[(name, value)]].concat());
         hub.until("/readyz", |answer| {
             let why = answer["reasons"]["database"].as_str().unwrap_or_default();
             let is_read_only = why.contains("read-only") || why.contains("readonly");
@@ -177,8 +177,8 @@ async fn flood(
 async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     const OTHERS: usize = 100;
     // Without a limit on its share, so that the hub has to process everything.
-    let unlimited = (1_u64 << 40).to_string();
-    let unlimited = ("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited);
+    let huge = (1_u64 << 40).to_string();
+    let unlimited = ("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", huge);
     let (zenoh, hub) = HubProcess::fresh(vec![unlimited]).await;
     let stop = CancellationToken::new();
     let mut floods = JoinSet::new();
@@ -227,11 +227,13 @@ impl Traced {
     /// Reads a line of `strace -f -y`: `4711 pwrite64(11</tmp/x/hub.db-wal>, "…", 4096, 0) = 4096`.
     fn take(&mut self, line: &str) {
         let (thread, call) = line.split_once(' ').unwrap_or_default();
-        let (thread, call): (u32, &str) = (thread.parse().unwrap_or(0), call.trim_start());
-        let log = call.contains("hub.db-wal>");
-        if call.starts_with("pwrite64(") && log {
+        let thread: u32 = thread.parse().unwrap_or(0);
+        let call = call.trim_start();
+        let is_of_log = call.contains("hub.db-wal>");
+        let is_sync = call.starts_with("fdatasync(") || call.starts_with("fsync(");
+        if call.starts_with("pwrite64(") && is_of_log {
             self.unsynced += 1;
-        } else if (call.starts_with("fdatasync(") || call.starts_with("fsync(")) && log {
+        } else if is_sync && is_of_log {
             if call.contains("unfinished") {
                 self.syncing.insert(thread, self.unsynced);
             } else {
@@ -269,9 +271,11 @@ fn a_trace_with_an_answer_before_its_sync_is_caught() {
         (vec![write, begun, write, ended, answer], 1),
     ] {
         let mut traced = Traced::default();
-        lines.iter().for_each(|line| traced.take(line));
-        let found = (traced.acknowledged, traced.too_early);
-        assert_eq!(found, (1, too_early), "{lines:?}");
+        for line in &lines {
+            traced.take(line);
+        }
+        assert_eq!(traced.acknowledged, 1, "{lines:?}");
+        assert_eq!(traced.too_early, too_early, "{lines:?}");
     }
 }
 
@@ -298,9 +302,10 @@ async fn reports_are_synced_to_disk_before_they_are_acknowledged() {
     }
     session.close().await.unwrap();
     let mut traced = Traced::default();
-    let lines = std::fs::read(&trace).unwrap();
-    let lines = String::from_utf8_lossy(&lines);
-    lines.lines().for_each(|line| traced.take(line));
+    let trace = std::fs::read(&trace).unwrap();
+    for line in String::from_utf8_lossy(&trace).lines() {
+        traced.take(line);
+    }
     assert!(traced.acknowledged >= 40, "{traced:?}");
     assert!(traced.syncs >= 40, "{traced:?}");
     assert_eq!(traced.too_early, 0, "{traced:?}");

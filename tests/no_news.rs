@@ -68,18 +68,18 @@ async fn a_parked_dashcam_asks_the_detector_once_in_ten_seconds_and_wakes_on_the
         assert_eq!(answers[at].cause, Some(CallCause::EmptyRoad));
     }
     let last = answers.last().unwrap();
-    assert_eq!(
-        (last.state, last.passed, last.cause),
-        (FrameState::E, Some(cause), None)
-    );
+    assert_eq!(last.state, FrameState::E);
+    assert_eq!(last.passed, Some(cause));
+    assert_eq!(last.cause, None);
     assert!(last.boxes.is_empty());
     let passed = bench.snapshot().passed[cause as usize];
     assert!(passed >= 550 - watched as u64 - 15, "{passed}");
 
     // A car comes in.
-    let came = show(&mut bench, 550, pictures(1)).await;
-    assert_eq!((came[0].state, came[0].passed), (FrameState::I, None));
-    assert!(!came[0].boxes.is_empty());
+    let came = show(&mut bench, 550, pictures(1)).await.remove(0);
+    assert_eq!(came.state, FrameState::I);
+    assert_eq!(came.passed, None);
+    assert!(!came.boxes.is_empty());
     bench.stop().await;
 }
 
@@ -130,11 +130,14 @@ fn is_passed(policy: &mut WithPause, index: u64, grey: GreyPicture<'_>) -> bool 
 /// The share of a drive's frames that are passed over because the picture seems to have no news.
 fn passed(drive: &[Vec<u8>]) -> f64 {
     let mut policy = parked();
-    let each = (0..).zip(drive).filter(|(index, pixels)| {
+    let mut passed = 0;
+    for (index, pixels) in (0..).zip(drive) {
         let grey = GreyPicture { size: SIZE, pixels };
-        is_passed(&mut policy, *index, grey)
-    });
-    each.count() as f64 / drive.len() as f64
+        if is_passed(&mut policy, index, grey) {
+            passed += 1;
+        }
+    }
+    f64::from(passed) / drive.len() as f64
 }
 
 /// No frame is passed over, so recall is that of a node without the pause: the night clip, and the clips by day made dark,
@@ -164,12 +167,13 @@ fn shared_a_car_that_drives_at_night_is_looked_at_in_every_frame() {
 
 /// Milliseconds of the fastest of some runs.
 fn fastest(mut run: impl FnMut()) -> f64 {
-    let times = (0..20).map(|_| {
+    let mut fastest = f64::INFINITY;
+    for _ in 0..20 {
         let begun = Instant::now();
         run();
-        begun.elapsed().as_secs_f64() * 1e3
-    });
-    times.fold(f64::INFINITY, f64::min)
+        fastest = fastest.min(begun.elapsed().as_secs_f64() * 1e3);
+    }
+    fastest
 }
 
 #[test]
@@ -193,7 +197,9 @@ fn comparing_a_picture_costs_a_fraction_of_decoding_it() {
             is_passed(&mut policy, index, grey);
         };
         // Within the first second, a picture is compared once.
-        (0..20).for_each(|_| compare());
+        for _ in 0..20 {
+            compare();
+        }
         let compared = fastest(compare);
         println!(
             "{size}: decoded {whole:.2} ms, small grey picture {small:.2} ms, compared {compared:.3} ms"

@@ -183,7 +183,7 @@ async fn a_request_keeps_what_was_before_and_after_it() {
     })
     .await;
     assert_contains(&text_at(&format!("{}/readyz", node.http)).await, &["ready"]);
-    let (.., folder) = node.stop().await;
+    let folder = node.stop().await.folder;
     let path = recordings(folder.path()).remove(0);
     let read = script(&json!({"read": path}));
     assert_eq!(read["counts"]["/front/image"], 6, "{read}");
@@ -206,7 +206,7 @@ async fn a_hook_records_what_it_is_told_of() {
         status(&node).await["written_frames"] == 4
     })
     .await;
-    let (.., folder) = node.stop().await;
+    let folder = node.stop().await.folder;
     let path = recordings(folder.path()).remove(0);
     let read = script(&json!({"read": path}));
     let reasons = read["reasons"].as_array().unwrap();
@@ -252,7 +252,7 @@ async fn a_full_disk_costs_recordings_and_no_answers() {
     })
     .await;
     assert_eq!(status(&node).await["fault"], Value::Null);
-    let (_, log) = node.stop_well().await;
+    let log = node.stop_well().await.log;
     assert_contains(
         &log,
         &[
@@ -281,7 +281,7 @@ async fn frames_on_which_the_audit_found_a_difference_become_training_data() {
         metric(&node.http, series).await > 0.5
     })
     .await;
-    let (.., folder) = node.stop().await;
+    let folder = node.stop().await.folder;
     let from = folder.path().join("recordings").display().to_string();
     let out = folder.path().join("hard");
     let said = run(
@@ -325,7 +325,7 @@ async fn an_export_is_opened_by_supervision_and_its_tracks_are_those_that_were_s
         status(&node).await["written_frames"] == 12
     })
     .await;
-    let (.., folder) = node.stop().await;
+    let folder = node.stop().await.folder;
     let from = folder.path().join("recordings").display().to_string();
     let export = |to: &str| {
         let out = folder.path().join(to);

@@ -117,8 +117,8 @@ async fn a_closed_terminal_stops_a_node_as_sigterm_does_unless_it_was_started_wi
     let settings = detector("hungry.onnx");
     let node = Node::start(&settings).await;
     signal(node.id(), "-HUP");
-    let (status, _, log, _) = node.ended().await;
-    assert!(status.success(), "{status}:\n{log}");
+    let ended = node.ended().await;
+    assert!(ended.status.success(), "{}:\n{}", ended.status, ended.log);
 
     let mut command = Command::new("nohup");
     command.arg(albireo().as_std().get_program()).stdout(Stdio::null());

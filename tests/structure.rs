@@ -183,7 +183,9 @@ fn product_code(path: &Path, code: &mut String) {
     if path.is_dir() {
         if !path.ends_with("tests") {
             let entries = std::fs::read_dir(path).unwrap();
-            entries.for_each(|entry| product_code(&entry.unwrap().path(), code));
+            for entry in entries {
+                product_code(&entry.unwrap().path(), code);
+            }
         }
         return;
     }
@@ -195,7 +197,10 @@ fn product_code(path: &Path, code: &mut String) {
     // Tests stand at the end of a file.
     let text = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
     let lines = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-    lines.for_each(|line| *code += &format!("{line}\n"));
+    for line in lines {
+        code.push_str(line);
+        code.push('\n');
+    }
 }
 
 /// The names that follow `crate::` in the code, also in braces.

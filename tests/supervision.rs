@@ -281,10 +281,10 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
             let _ = kill.args(["-TERM", &id]).stderr(Stdio::null()).status();
         }
     });
-    let (status, took, _, _) = node.ended().await;
+    let ended = node.ended().await;
     again.abort();
-    assert_eq!(status.code(), Some(130));
-    assert!(took < Duration::from_secs(5), "{took:?}");
+    assert_eq!(ended.status.code(), Some(130));
+    assert!(ended.took < Duration::from_secs(5), "{:?}", ended.took);
 }
 
 #[rstest]
@@ -296,8 +296,8 @@ async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
     // shell, since a signal 1 s after the first is a second request.
     let kill = "kill -INT $0 && kill -TERM $0";
     run_command(Command::new("sh").args(["-c", kill, &node.id().to_string()])).succeeds();
-    let (status, _, log, _) = node.ended().await;
-    assert_eq!(status.code(), Some(0), "{log}");
+    let ended = node.ended().await;
+    assert_eq!(ended.status.code(), Some(0), "{}", ended.log);
 }
 
 /// A picture of one grey level, of the size of the detectors' input.
@@ -312,10 +312,10 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
     let session = zenoh_client(&node.zenoh).await;
     put(&session, CAMERA, &solid(255), attachment(0, None, None)).await;
-    let (status, _, log, _) = node.ended().await;
-    assert_eq!(status.code(), Some(1), "{log}");
+    let ended = node.ended().await;
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.log);
     let said = "the thread of the detector has not come back for 30 s";
-    assert_contains(&log, &[said]);
+    assert_contains(&ended.log, &[said]);
 }
 
 #[rstest]
@@ -331,7 +331,8 @@ async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
         lines.contains("ONNX Runtime loaded") && lines.contains("endless.onnx")
     })
     .await;
-    let (took, log) = node.stop_well().await;
+    let ended = node.stop_well().await;
+    let (took, log) = (ended.took, ended.log);
     assert!(took < Duration::from_secs(10), "it took {took:?}:\n{log}");
     let said = ["loading the detector", "stopped before the node was ready"];
     assert_contains(&log, &said);

@@ -73,53 +73,56 @@ pub(crate) fn compare(
     assert_eq!(recorded.len(), golden.len(), "{what}: frames");
     for (expected, given) in golden.iter().zip(recorded) {
         let index = expected.frame;
-        let at = format!("{what}, frame {index}");
+        let place = format!("{what}, frame {index}");
         decide_frame(&mut *policy, index, screen, picture, given, &mut outcome);
-        assert_eq!(outcome.state, expected.state, "{at}");
-        assert_eq!(outcome.active, expected.active, "{at}");
+        assert_eq!(outcome.state, expected.state, "{place}");
+        assert_eq!(outcome.active, expected.active, "{place}");
         match (outcome.tau_max, expected.tau_max) {
-            (Some(found), Some(expected)) => close(found, expected, &at, "tau_max"),
-            (found, expected) => assert_eq!(found, expected, "{at}: tau_max"),
+            (Some(found), Some(expected)) => assert_close(found, expected, &place, "tau_max"),
+            (found, expected) => assert_eq!(found, expected, "{place}: tau_max"),
         }
         let mut objects = Vec::new();
         policy.objects(&mut |object| objects.push(*object));
-        assert_eq!(objects.len(), expected.objects.len(), "{at}: objects");
+        assert_eq!(objects.len(), expected.objects.len(), "{place}: objects");
         for (found, expected) in objects.iter().zip(&expected.objects) {
-            compare_object(&at, found, expected);
+            compare_object(&place, found, expected);
         }
         // The evaluation scores every object, on every frame kind.
         let mut reported: Vec<_> =
             outcome.boxes.iter().map(|shown| shown.object.unwrap()).collect();
         reported.sort_unstable();
         let all: Vec<_> = expected.objects.iter().map(|object| object.id).collect();
-        assert_eq!(reported, all, "{at}: boxes reported");
-        let rescued = outcome.boxes.iter().any(|b| b.source == BoxSource::Rescued);
+        assert_eq!(reported, all, "{place}: boxes reported");
+        let is_rescued = outcome.boxes.iter().any(|shown| shown.source == BoxSource::Rescued);
         // Objects that CTD keeps after a miss do not make a frame AI.
-        let missed = |object: &ObjectRecord| object.since_update > 0;
-        let skipped = outcome.state.is_skipped();
-        let expected_rescued = !skipped && expected.objects.iter().any(missed);
-        assert_eq!(rescued, expected_rescued, "{at}: rescued boxes");
+        let is_missed = |object: &ObjectRecord| object.since_update > 0;
+        let is_skipped = outcome.state.is_skipped();
+        let should_be = !is_skipped && expected.objects.iter().any(is_missed);
+        assert_eq!(is_rescued, should_be, "{place}: rescued boxes");
     }
 }
 
-fn compare_object(at: &str, found: &ObjectRecord, expected: &ObjectRecord) {
-    let at = &format!("{at}, object {}", expected.id.0);
+fn compare_object(frame: &str, found: &ObjectRecord, expected: &ObjectRecord) {
+    let place = format!("{frame}, object {}", expected.id.0);
     let sides = |object: &ObjectRecord| <[f64; 4]>::from(object.bounding_box);
     for (found, expected) in sides(found).into_iter().zip(sides(expected)) {
-        close(found, expected, at, "box");
+        assert_close(found, expected, &place, "box");
     }
-    close(found.tau, expected.tau, at, "tau");
+    assert_close(found.tau, expected.tau, &place, "tau");
     let exact = ObjectRecord {
         bounding_box: found.bounding_box,
         tau: found.tau,
         ..*expected
     };
-    assert_eq!(*found, exact, "{at}");
+    assert_eq!(*found, exact, "{place}");
 }
 
-fn close(found: f64, expected: f64, at: &str, what: &str) {
-    let off = (found - expected).abs();
-    assert!(off <= TOLERANCE, "{at}: {what} {found}, not {expected}");
+fn assert_close(found: f64, expected: f64, place: &str, what: &str) {
+    let difference = (found - expected).abs();
+    assert!(
+        difference <= TOLERANCE,
+        "{place}: {what} {found}, not {expected}"
+    );
 }
 
 /// Replays an excerpt, whose lines include the detections.
@@ -128,13 +131,15 @@ pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture:
     let mut golden = Vec::new();
     for line in lines.lines() {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();
-        let detections = frame.detections.into_iter();
-        let detections = detections.map(|(cx, cy, w, h, confidence, class)| Detection {
-            bounding_box: BoundingBox::new(cx, cy, w, h),
-            confidence,
-            class: ClassId(class),
-        });
-        recorded.push(detections.collect::<Vec<_>>());
+        let mut detections = Vec::new();
+        for (cx, cy, w, h, confidence, class) in frame.detections {
+            detections.push(Detection {
+                bounding_box: BoundingBox::new(cx, cy, w, h),
+                confidence,
+                class: ClassId(class),
+            });
+        }
+        recorded.push(detections);
         golden.push(frame.golden);
     }
     compare("excerpt", asked, screen, picture, &recorded, &golden);

@@ -16,7 +16,10 @@ pub(crate) fn assert_contains(said: &(impl Display + ?Sized), parts: &[&str]) {
 pub(crate) fn assert_has(found: &Value, expected: &Value) {
     fn has(found: &Value, expected: &Value) -> bool {
         match (found, expected) {
-            (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
+            (_, Value::Object(members)) => {
+                let mut members = members.iter();
+                members.all(|(name, wanted)| has(&found[name], wanted))
+            }
             (Value::Array(found), Value::Array(expected)) => {
                 let mut pairs = found.iter().zip(expected);
                 found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))

@@ -117,10 +117,9 @@ pub(crate) async fn json_at(url: &str) -> Value {
 #[track_caller]
 pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
     let mut lines = metrics.lines();
-    let found = lines
-        .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '))
-        .and_then(|rest| rest.split(' ').next()?.parse().ok());
-    found.unwrap_or_else(|| panic!("no {series} in {metrics}"))
+    let rest = lines.find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+    let value = rest.and_then(|rest| rest.split(' ').next()?.parse().ok());
+    value.unwrap_or_else(|| panic!("no {series} in {metrics}"))
 }
 
 pub(crate) async fn metric(http: &str, series: &str) -> f64 {
@@ -298,9 +297,11 @@ pub(crate) fn pipe(path: &Path) {
 
 /// The constants that comments in the settings change: `# development: name=value …`.
 pub(crate) fn development(settings: &str) -> String {
-    let named = |line: &'_ str| line.strip_prefix("# development: ").map(str::to_owned);
-    let lines: Vec<_> = settings.lines().filter_map(named).collect();
-    lines.join(" ")
+    let mut constants = Vec::new();
+    for line in settings.lines() {
+        constants.extend(line.strip_prefix("# development: "));
+    }
+    constants.join(" ")
 }
 
 pub(crate) struct Node {
@@ -376,25 +377,38 @@ impl Node {
         self.child.id().expect("the node runs")
     }
 
-    /// Waits until the node exits, and returns its status, the time that took, its log and its folder.
-    pub(crate) async fn ended(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+    /// Waits until the node exits.
+    pub(crate) async fn ended(mut self) -> EndedNode {
         let start = std::time::Instant::now();
         let status = self.child.wait().await.unwrap();
-        let took = start.elapsed();
-        (status, took, self.log.await.unwrap(), self.folder)
+        EndedNode {
+            status,
+            took: start.elapsed(),
+            log: self.log.await.unwrap(),
+            folder: self.folder,
+        }
     }
 
     /// Sends SIGTERM, then as [`ended`](Self::ended).
-    pub(crate) async fn stop(self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+    pub(crate) async fn stop(self) -> EndedNode {
         signal(self.id(), "-TERM");
         self.ended().await
     }
 
-    pub(crate) async fn stop_well(self) -> (Duration, String) {
-        let (status, took, log, _) = self.stop().await;
-        assert!(status.success(), "{status}:\n{log}");
-        (took, log)
+    pub(crate) async fn stop_well(self) -> EndedNode {
+        let ended = self.stop().await;
+        assert!(ended.status.success(), "{}:\n{}", ended.status, ended.log);
+        ended
     }
+}
+
+/// What a node that has exited leaves.
+pub(crate) struct EndedNode {
+    pub(crate) status: ExitStatus,
+    /// How long its exit was waited for.
+    pub(crate) took: Duration,
+    pub(crate) log: String,
+    pub(crate) folder: tempfile::TempDir,
 }
 
 pub(crate) fn collected<R: AsyncRead + Unpin + Send + 'static>(
@@ -474,10 +488,17 @@ pub(crate) struct Client {
 
 impl Client {
     /// Subscribes to `key` at `endpoint` and waits until the subscription is active.
-    pub(crate) async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
-        let more: &[&str] = if history { &["--history"] } else { &[] };
-        let arguments = [&[endpoint, key][..], more].concat();
-        let (child, lines) = client(&python(), "listen.py", &arguments).await;
+    pub(crate) async fn listen(endpoint: &str, key: &str) -> Self {
+        Self::start(&[endpoint, key]).await
+    }
+
+    /// Like [`listen`](Self::listen), and gets what was published before.
+    pub(crate) async fn listen_with_history(endpoint: &str, key: &str) -> Self {
+        Self::start(&[endpoint, key, "--history"]).await
+    }
+
+    async fn start(arguments: &[&str]) -> Self {
+        let (child, lines) = client(&python(), "listen.py", arguments).await;
         Self { child, lines }
     }
 
