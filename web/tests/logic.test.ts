@@ -143,27 +143,27 @@ test("lines of the log are chosen by how grave they are", () => {
 });
 
 test("a camera is stale after two and a half seconds, or three of its own gaps", () => {
-  expect(cameraState(undefined, 0, false)).toBe("never seen");
-  expect(cameraState(0.1, 0.1, false)).toBe("live");
-  expect(cameraState(0.1, 0.1, true)).toBe("degraded");
-  expect(cameraState(2.6, 0.1, false)).toBe("stale");
-  expect(cameraState(10, 5, false)).toBe("live");
-  expect(cameraState(16, 5, true)).toBe("stale");
+  expect(cameraState({ age: undefined, usualGap: 0 })).toBe("never seen");
+  expect(cameraState({ age: 0.1, usualGap: 0.1 })).toBe("live");
+  expect(cameraState({ age: 0.1, usualGap: 0.1, isDegraded: true })).toBe("degraded");
+  expect(cameraState({ age: 2.6, usualGap: 0.1 })).toBe("stale");
+  expect(cameraState({ age: 10, usualGap: 5 })).toBe("live");
+  expect(cameraState({ age: 16, usualGap: 5, isDegraded: true })).toBe("stale");
 });
 
 test("a camera that is refused has failed, not only one that was never seen", () => {
-  expect(cameraState(undefined, 0, false, "failed: refused", "rtsp://a/b")).toBe("failed");
-  expect(cameraState(40, 0.1, false, "failed: refused", "rtsp://a/b")).toBe("failed");
-  expect(cameraState(0.1, 0.1, false, "failed: refused", "rtsp://a/b")).toBe("live");
-  expect(cameraState(undefined, 0, false, undefined, "rtsp://a/b")).toBe("opening");
-  expect(cameraState(undefined, 0, false, "no frame has arrived since the start")).toBe("never seen");
+  expect(cameraState({ age: undefined, usualGap: 0, fault: "failed: refused", source: "rtsp://a/b" })).toBe("failed");
+  expect(cameraState({ age: 40, usualGap: 0.1, fault: "failed: refused", source: "rtsp://a/b" })).toBe("failed");
+  expect(cameraState({ age: 0.1, usualGap: 0.1, fault: "failed: refused", source: "rtsp://a/b" })).toBe("live");
+  expect(cameraState({ age: undefined, usualGap: 0, source: "rtsp://a/b" })).toBe("opening");
+  expect(cameraState({ age: undefined, usualGap: 0, fault: "no frame has arrived since the start" })).toBe("never seen");
 });
 
 test("a camera of which no picture can be used says so, also if none was ever shown", () => {
   const fault = "the last 5 frames cannot be used: undecodable picture: no pixels";
-  expect(cameraState(undefined, 0, false, fault, undefined, true)).toBe("unusable");
-  expect(cameraState(0.1, 0.1, false, fault, "rtsp://a/b", true)).toBe("unusable");
-  expect(cameraState(0.1, 0.1, false, undefined, undefined, false)).toBe("live");
+  expect(cameraState({ age: undefined, usualGap: 0, fault, isUnusable: true })).toBe("unusable");
+  expect(cameraState({ age: 0.1, usualGap: 0.1, fault, source: "rtsp://a/b", isUnusable: true })).toBe("unusable");
+  expect(cameraState({ age: 0.1, usualGap: 0.1 })).toBe("live");
 });
 
 test("a fault is short, with the camera's address once and no word of the program that opens it", () => {

@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useState } from "preact/hooks";
 import type uPlot from "uplot";
-import { json } from "../shared/api";
+import { json, messageOf } from "../shared/api";
 import { Chart } from "../shared/chart";
 import { dateTime, joules, percent, plural } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
@@ -58,7 +58,7 @@ function usePoints(span: Span): { points: Point[]; fault: string } {
         setPoints(times.map((at) => ({ at, groups: known.get(at)?.groups ?? [], audit: known.get(at)?.audit })));
         setFault("");
       } catch (error) {
-        if (!stop.signal.aborted) setFault(error instanceof Error ? error.message : String(error));
+        if (!stop.signal.aborted) setFault(messageOf(error));
       }
     };
     void look();

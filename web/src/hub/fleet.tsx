@@ -3,8 +3,10 @@
 import { signal } from "@preact/signals";
 import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { messageOf } from "../shared/api";
 import { ago, count, dateTime, joules, percent, plural, small } from "../shared/format";
 import { CopyButton, Section } from "../shared/parts";
+import { arrow, order } from "../shared/table";
 import { nameAndValue } from "../shared/target";
 import { Fault, Presence, useLoaded } from "./parts";
 import { href, refine, route } from "./route";
@@ -24,11 +26,24 @@ const MOST_NAMED = 800;
 export const selected = signal<ReadonlySet<string>>(new Set());
 
 /** Name of the threshold of a node's first camera, with the values of all cameras. */
-export function thresholdOf(node: NodeView): { name: string; values: number[] } | undefined {
+export function thresholdOf(node: NodeView): NodeThreshold | undefined {
   const all = (node.status?.cameras ?? []).flatMap(({ threshold }) => threshold ?? []);
   const name = all[0]?.name;
   if (name === undefined) return undefined;
-  return { name, values: [...new Set(all.filter((one) => one.name === name).map((one) => one.value))] };
+  const values = all.filter((one) => one.name === name).map((one) => one.value);
+  return { name, values: [...new Set(values)] };
+}
+
+interface NodeThreshold {
+  name: string;
+  /** Each value once. */
+  values: number[];
+}
+
+function thresholdText(threshold: NodeThreshold | undefined): string {
+  if (!threshold) return "–";
+  const { name, values } = threshold;
+  return values.length === 1 ? `${name} = ${small(values[0])}` : `${name}: ${values.length} values`;
 }
 
 const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
@@ -110,7 +125,8 @@ function Table() {
   // An unchanged row reuses its element, so it is not compared again.
   const drawn = useRef(new Map<number, { index: number; node: NodeView | undefined; picked: boolean; element: JSX.Element }>());
   const row = (index: number) => {
-    const [node, slot] = [rows.at(index), index % slots];
+    const node = rows.at(index);
+    const slot = index % slots;
     const on = node !== undefined && picked.has(node.node);
     const known = drawn.current.get(slot);
     if (known && known.index === index && known.node === node && known.picked === on) return known.element;
@@ -142,12 +158,12 @@ function Table() {
                   key={column.id}
                   role="columnheader"
                   class={column.class}
-                  aria-sort={column.sort && filter.sort === column.sort ? (filter.down ? "descending" : "ascending") : undefined}
+                  aria-sort={column.sort && filter.sort === column.sort ? order(filter.down) : undefined}
                 >
                   {column.sort ? (
                     <button type="button" class="sort" onClick={() => sort(column.sort!)}>
                       {column.head}
-                      <span aria-hidden="true">{filter.sort === column.sort ? (filter.down ? " ▾" : " ▴") : ""}</span>
+                      <span aria-hidden="true">{filter.sort === column.sort ? arrow(filter.down) : ""}</span>
                     </button>
                   ) : (
                     column.head
@@ -259,12 +275,13 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
     );
   }
   const threshold = thresholdOf(node);
-  const value = threshold ? (threshold.values.length === 1 ? `${threshold.name} = ${small(threshold.values[0])}` : `${threshold.name}: ${threshold.values.length} values`) : "–";
+  const value = thresholdText(threshold);
   const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
   // Addresses of pages are links on the node's own view.
-  const labels = Object.entries(node.status?.labels ?? {}).filter(([label]) => label !== "page" && label !== "hub").map(([label, value]) => `${label}=${value}`).join(" ");
+  const shown = Object.entries(node.status?.labels ?? {}).filter(([label]) => label !== "page" && label !== "hub");
+  const labels = shown.map(([label, value]) => `${label}=${value}`).join(" ");
   return (
     <div class="fleet-row" role="row" aria-rowindex={index + 2} style={place}>
       <span role="cell" class="c-pick">
@@ -290,7 +307,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
         {heard === undefined ? "never" : ago(Math.max(0, heard))}
       </span>
       <span role="cell" class="c-threshold" title={held && `now ${value}`}>
-        {held ? `hold ${held[0]} = ${small(held[1])}` : value}
+        {held ? `hold ${held.name} = ${small(held.value)}` : value}
       </span>
       <span role="cell" class="c-skip" title="Share of today's frames that skipped the detector">
         {percent(node.today.skip_rate)}
@@ -385,7 +402,7 @@ function Picker({ filter, total }: { filter: Filter; total: number }) {
         setSaid(`The first ${count(found.names.length)} of ${count(found.total)}: for more, use a glob or a label below.`);
       }
     } catch (error) {
-      setSaid(error instanceof Error ? error.message : String(error));
+      setSaid(messageOf(error));
     }
   };
   const picked = selected.value.size;

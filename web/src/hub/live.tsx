@@ -1,7 +1,7 @@
 // The live view of one node. The node sends counters and pictures only while this view is open.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { answer, follow, pause } from "../shared/api";
+import { answer, follow, messageOf, pause } from "../shared/api";
 import { count, duration, percent, small, watts } from "../shared/format";
 import { Fault, Figure, Quality, Section } from "../shared/parts";
 import { heldText } from "../shared/target";
@@ -19,7 +19,8 @@ export interface Rate {
 
 /** Frames per second and skip rate between the first and the last of some counters; undefined if the node restarted between them. */
 export function rate(samples: readonly CountersMessage[]): Rate | undefined {
-  const [first, last] = [samples[0], samples.at(-1)];
+  const first = samples[0];
+  const last = samples.at(-1);
   if (!first || !last || first === last) return undefined;
   const frames = last.frames - first.frames;
   const seconds = (last.t_ns - first.t_ns) / 1e9;
@@ -133,7 +134,7 @@ function Newest({ path, camera }: { path: string; camera: string }) {
             setNote("");
           } catch (error) {
             if (stop.signal.aborted) return;
-            setNote(error instanceof Error ? error.message : String(error));
+            setNote(messageOf(error));
             await pause(4 * PICTURE_MS, stop.signal);
           }
         }

@@ -1,6 +1,6 @@
 // One node of the fleet: its health, its energy, its clips and settings.
 
-import { answer } from "../shared/api";
+import { answer, messageOf } from "../shared/api";
 import { certificates, count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { isPage, Pill, Quality, Section, whyNot } from "../shared/parts";
 import { heldText } from "../shared/target";
@@ -219,7 +219,7 @@ function Forget({ name }: { name: string }) {
       await answer(`/api/v1/nodes/${encodeURIComponent(name)}`, { method: "DELETE" });
       location.hash = href(["fleet"]);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   return (

@@ -2,7 +2,7 @@
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { json } from "../shared/api";
+import { json, messageOf } from "../shared/api";
 import { joules, short, small } from "../shared/format";
 import { Pill, type Mood } from "../shared/parts";
 import { nameAndValue } from "../shared/target";
@@ -62,7 +62,7 @@ export function settingText(value: DesiredSetting | Threshold | null | undefined
   if ("threshold" in value) return settingText(value.threshold);
   if ("name" in value) return `${value.name} = ${small(value.value)}`;
   const held = nameAndValue(value.target);
-  return held ? `hold ${held[0]} = ${small(held[1])}` : "hold nothing";
+  return held ? `hold ${held.name} = ${small(held.value)}` : "hold nothing";
 }
 
 /** An interval drawn on a line around zero, with its numbers beside it. */
@@ -105,7 +105,7 @@ export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded
         setValue(found);
         setFault("");
       } catch (error) {
-        if (!stop.signal.aborted) setFault(error instanceof Error ? error.message : String(error));
+        if (!stop.signal.aborted) setFault(messageOf(error));
       }
     };
     void look();

@@ -1,7 +1,7 @@
 // The history of desired settings, nodes that have drifted, and rejected reports.
 
 import { useState } from "preact/hooks";
-import { json } from "../shared/api";
+import { json, messageOf } from "../shared/api";
 import { count, dateTime, plural } from "../shared/format";
 import { Section } from "../shared/parts";
 import { Fault, Setting, Outcomes, outcomeWords, settingText, useLoaded } from "./parts";
@@ -20,7 +20,7 @@ export function Revisions() {
       setOlder([...older, ...page.revisions]);
       setNext(page.next ?? null);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   const revisions = [...(found.value?.revisions ?? []), ...older];

@@ -1,7 +1,7 @@
 // Rollouts: a value in stages, each gated on what was measured.
 
 import { useState } from "preact/hooks";
-import { send } from "../shared/api";
+import { messageOf, send } from "../shared/api";
 import { count, dateTime, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
 import { Fault, Field, IntervalBar, Setting, Outcomes, outcomeWords, useLoaded } from "./parts";
@@ -145,7 +145,7 @@ export function Rollout({ id }: { id: string }) {
       await send("POST", `/api/v1/rollouts/${encodeURIComponent(id)}/${name}`);
       found.again();
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   const judged = [...(rollout?.record ?? [])].reverse().find((entry) => entry.gates && entry.gates.length > 0);
@@ -261,7 +261,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
       onBegun();
       location.hash = href(["rollouts", String(begun.id)]);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   return (

@@ -1,6 +1,6 @@
 // Rows of the fleet's table: only those near the visible part are kept, whatever the fleet's size.
 
-import { json } from "../shared/api";
+import { json, messageOf } from "../shared/api";
 import { href } from "./route";
 import type { NodeList, NodeView } from "./types";
 
@@ -83,7 +83,7 @@ export class Rows {
       this.#pages.set(page, found.nodes);
     } catch (error) {
       if (this.#stopped.signal.aborted) return;
-      this.fault = error instanceof Error ? error.message : String(error);
+      this.fault = messageOf(error);
     } finally {
       this.#loading.delete(page);
     }

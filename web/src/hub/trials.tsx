@@ -1,7 +1,7 @@
 // Trials: values compared on random groups of nodes.
 
 import { useState } from "preact/hooks";
-import { send } from "../shared/api";
+import { messageOf, send } from "../shared/api";
 import { count, dateTime, duration, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
 import { Fault, Field, IntervalBar, Setting, Outcomes, useLoaded } from "./parts";
@@ -51,7 +51,7 @@ export function Trial({ id }: { id: string }) {
       await send("POST", `/api/v1/trials/${encodeURIComponent(id)}/end`);
       found.again();
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   return (
@@ -165,7 +165,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
       onBegun();
       location.hash = href(["trials", String(begun.id)]);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   const shown = terms(fields.values).map(parsed).filter((value): value is number => value !== undefined);

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { useState } from "preact/hooks";
-import { answer, send } from "../shared/api";
+import { answer, messageOf, send } from "../shared/api";
 import { parsed, plural, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
 import { TARGETS } from "../shared/target";
@@ -88,7 +88,7 @@ export function Tune() {
     try {
       await work();
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   const dry = () =>

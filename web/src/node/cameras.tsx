@@ -12,13 +12,26 @@ const STALE_S = 2.5;
 
 export type CameraWord = "failed" | "unusable" | "stale" | "degraded" | "never seen" | "opening" | "live";
 
-export function cameraState(age: number | undefined, usualGap: number, degradedLately: boolean, fault?: string | null, source?: string | null, unusable?: boolean): CameraWord {
-  if (unusable) return "unusable";
+/** What is known of a camera. */
+export interface CameraFacts {
+  /** Seconds since its last frame; undefined before the first. */
+  age: number | undefined;
+  /** Its usual seconds between two frames. */
+  usualGap: number;
+  isDegraded?: boolean;
+  fault?: string | null | undefined;
+  /** The address that the node opens. */
+  source?: string | null | undefined;
+  isUnusable?: boolean | undefined;
+}
+
+export function cameraState({ age, usualGap, isDegraded, fault, source, isUnusable }: CameraFacts): CameraWord {
+  if (isUnusable) return "unusable";
   if (age === undefined && !source) return "never seen";
   const comes = age !== undefined && age <= Math.max(STALE_S, 3 * usualGap);
   if (!comes && fault && source) return "failed";
   if (!comes) return age === undefined ? "opening" : "stale";
-  return degradedLately ? "degraded" : "live";
+  return isDegraded ? "degraded" : "live";
 }
 
 const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", failed: "bad", unusable: "bad", "never seen": "wait", opening: "wait", degraded: "bad" };
@@ -42,15 +55,21 @@ const FAILURES: [RegExp, string][] = [
   [/Device or resource busy/, "HOST is used by another program"],
 ];
 
+/** The failure in a few words, if it is one of those that are known. */
+function knownFailure(reason: string, host: string): string | undefined {
+  for (const [pattern, words] of FAILURES) {
+    const found = pattern.exec(reason);
+    if (found) return words.replace("$1", found[1] ?? "").replace("HOST", () => host);
+  }
+  return undefined;
+}
+
 /** `refused by 10.0.0.5, next try within 30 s`: a fault as short as it can be said; the whole text is where the camera is opened. */
 export function shortFault(fault: string, source: string | null | undefined): string {
   const [, reason, seconds] = /^(?:failed: )?([^]*?)(?:; next attempt in ([\d.]+) s)?$/.exec(fault)!;
   // An address without what is before its host and behind its port; a file or device as it is.
   const host = source?.match(/^\w+:\/\/(?:[^@/]*@)?([^/?]+)/)?.[1] ?? source ?? "it";
-  const known = FAILURES.map(([pattern, words]) => {
-    const found = pattern.exec(reason!);
-    return found && words.replace("$1", found[1] ?? "").replace("HOST", () => host);
-  }).find(Boolean);
+  const known = knownFailure(reason!, host);
   const plain = source ? reason!.replaceAll("***@", "").replaceAll(source.replace("***@", ""), host) : reason!;
   return `${known ?? plain}${seconds ? `, next try within ${seconds} s` : ""}`;
 }
@@ -116,14 +135,23 @@ function stateOf(camera: Entry): Stated {
   // The age read earlier has grown since; newly counted frames reset it.
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
-  const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
-  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera), camera.fault, camera.source, camera.unusable);
+  let age: number | undefined;
+  if (known !== undefined && known !== null) age = lost.value === undefined ? known : known + elapsed;
+  const word = cameraState({
+    age,
+    usualGap: usualGap(camera.camera),
+    isDegraded: degradedLately(camera.camera),
+    fault: camera.fault,
+    source: camera.source,
+    isUnusable: camera.unusable,
+  });
   return { word, age, pill: <Pill mood={MOODS[word]}>{word}</Pill> };
 }
 
 /** That a camera's picture has no news, in words. */
 export function noNews({ cause, for_s }: { cause: string; for_s: number }): string {
-  return `${cause === "dark" ? "dark, " : ""}no change for ${for_s < 120 ? `${for_s.toFixed(0)} s` : `${(for_s / 60).toFixed(0)} min`}`;
+  const length = for_s < 120 ? `${for_s.toFixed(0)} s` : `${(for_s / 60).toFixed(0)} min`;
+  return `${cause === "dark" ? "dark, " : ""}no change for ${length}`;
 }
 
 function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {

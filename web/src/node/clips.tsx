@@ -3,17 +3,25 @@
 import { useState } from "preact/hooks";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
-import { csv, type Column, sorted } from "../shared/table";
+import { arrow, csv, order, type Column, sorted } from "../shared/table";
 import { cameras, clips, overview } from "./store";
 import type { ClipReport } from "./types";
 
 const SHOWN = 50;
+/** Columns that clips of many nodes have no values for. */
+const OPTIONAL = ["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"];
 
 /** The share of one side's boxes on a clip's audited frames that have a pair on the other side. */
 export function paired(clip: ClipReport, side: "detected" | "shown"): number | undefined {
   const sums = clip.audit?.sums;
   const all = sums?.[side] ?? 0;
   return all > 0 ? (sums?.paired ?? 0) / all : undefined;
+}
+
+/** `yes`, `no`, or a dash where nothing is known. */
+function throttled(clip: ClipReport) {
+  if (clip.board?.throttled) return <b class="bad">yes</b>;
+  return clip.board?.throttled === false ? "no" : "–";
 }
 
 function columns(several: boolean): Column<ClipReport>[] {
@@ -56,18 +64,19 @@ function columns(several: boolean): Column<ClipReport>[] {
     { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
     {
       id: "throttled", head: "throttled", key: (clip) => (clip.board?.throttled === undefined ? undefined : String(clip.board.throttled)),
-      cell: (clip) => (clip.board?.throttled ? <b class="bad">yes</b> : clip.board?.throttled === false ? "no" : "–"),
+      cell: throttled,
     },
     { id: "power_mode", head: "power mode", key: (clip) => clip.board?.power_mode ?? undefined, cell: (clip) => clip.board?.power_mode ?? "–", left: true },
   ];
 }
 
 export function Clips() {
-  const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
+  const [sorting, setSorting] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
   const all = columns(cameras.value.length > 1);
   // A column is hidden if no clip has a value for it.
-  const shown = all.filter((column) => !["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
-  const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);
+  const hasValue = (column: Column<ClipReport>) => clips.value.some((clip) => column.key(clip) !== undefined);
+  const shown = all.filter((column) => !OPTIONAL.includes(column.id) || hasValue(column));
+  const rows = sorted(clips.value, all.find((column) => column.id === sorting.id) ?? all[0]!, sorting.down);
   const download = () => {
     const file = new Blob([csv(rows, all)], { type: "text/csv" });
     const link = document.createElement("a");
@@ -95,14 +104,14 @@ export function Clips() {
             <thead>
               <tr>
                 {shown.map((column) => (
-                  <th key={column.id} scope="col" class={column.left ? "left" : ""} aria-sort={order.id === column.id ? (order.down ? "descending" : "ascending") : undefined}>
+                  <th key={column.id} scope="col" class={column.left ? "left" : ""} aria-sort={sorting.id === column.id ? order(sorting.down) : undefined}>
                     <button
                       type="button"
                       class="sort"
-                      onClick={() => setOrder({ id: column.id, down: order.id === column.id ? !order.down : true })}
+                      onClick={() => setSorting({ id: column.id, down: sorting.id === column.id ? !sorting.down : true })}
                     >
                       {column.head}
-                      <span aria-hidden="true">{order.id === column.id ? (order.down ? " ▾" : " ▴") : ""}</span>
+                      <span aria-hidden="true">{sorting.id === column.id ? arrow(sorting.down) : ""}</span>
                     </button>
                   </th>
                 ))}

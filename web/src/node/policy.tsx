@@ -1,7 +1,7 @@
 // The policy: switched with one click, and why the default is the default.
 
 import { useEffect, useState } from "preact/hooks";
-import { json, Refused, send } from "../shared/api";
+import { json, messageOf, send } from "../shared/api";
 import { Section, whyNot } from "../shared/parts";
 import { lookAtNode, overview } from "./store";
 import type { PolicyInForce } from "./types";
@@ -35,7 +35,7 @@ export function PolicyPanel() {
       setChosen("");
       setSaid(undefined);
     } catch (error) {
-      setSaid(error instanceof Refused || error instanceof Error ? error.message : String(error));
+      setSaid(messageOf(error));
     }
   };
   const forbidden = whyNot();

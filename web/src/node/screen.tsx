@@ -1,7 +1,7 @@
 // The pauses, on an empty road and for pictures without news: on or off with one click, and what they mean.
 
 import { useEffect, useState } from "preact/hooks";
-import { every, json, Refused, send } from "../shared/api";
+import { every, json, messageOf, send } from "../shared/api";
 import { Section, whyNot } from "../shared/parts";
 import { overview } from "./store";
 import type { Pause } from "./types";
@@ -40,7 +40,7 @@ export function ScreenPanel() {
       setPause(await send<Pause>("PUT", "/api/v1/screen", next));
       setSaid(undefined);
     } catch (error) {
-      setSaid(error instanceof Refused || error instanceof Error ? error.message : String(error));
+      setSaid(messageOf(error));
     }
   };
   const forbidden = whyNot();

@@ -1,7 +1,7 @@
 // A target instead of a fixed threshold: its value, the measured value, and its status.
 
 import { useEffect, useState } from "preact/hooks";
-import { every, json, Refused, send } from "../shared/api";
+import { every, json, messageOf, send } from "../shared/api";
 import { duration, parsed, plural, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
 import { nameAndValue, TARGETS, type TargetName } from "../shared/target";
@@ -29,7 +29,7 @@ export function TargetPanel() {
       setReport(await send<TargetReport>("PUT", "/api/v1/target", { target }));
       setSaid(undefined);
     } catch (error) {
-      setSaid(error instanceof Refused || error instanceof Error ? error.message : String(error));
+      setSaid(messageOf(error));
     }
   };
   const submit = (event: Event) => {
@@ -39,7 +39,7 @@ export function TargetPanel() {
     else void set({ [name]: value });
   };
   const held = nameAndValue(report.target);
-  const about = TARGETS.find((target) => target.name === held?.[0]);
+  const about = TARGETS.find((target) => target.name === held?.name);
   const unit = TARGETS.find((target) => target.name === name)?.unit;
   const forbidden = whyNot();
   const state = report.state;
@@ -52,7 +52,7 @@ export function TargetPanel() {
       <form onSubmit={submit}>
         {held && (
           <p class="message" id="target-state">
-            {about?.words ?? held[0]} <b>{small(held[1])}</b> {about?.unit}, now{" "}
+            {about?.words ?? held.name} <b>{small(held.value)}</b> {about?.unit}, now{" "}
             <b id="target-actual">{small(state?.actual)}</b>; {thresholdSpec.value!.name} is <b>{small(state?.threshold)}</b>, allowed {small(report.range?.least)} to{" "}
             {small(report.range?.most)}.
             {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}

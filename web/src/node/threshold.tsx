@@ -1,7 +1,7 @@
 // The threshold slider: on a logarithmic scale over its useful range, in force from the next frame on.
 
 import { useEffect, useState } from "preact/hooks";
-import { every, json, pause, Refused, send } from "../shared/api";
+import { every, json, messageOf, pause, send } from "../shared/api";
 import { duration, parsed, percent, small, typed } from "../shared/format";
 import { Quality, Section, whyNot } from "../shared/parts";
 import { cameras, counters, thresholdSpec, thresholdInForce, lost, opened, overview, thresholds } from "./store";
@@ -107,7 +107,7 @@ export function ThresholdPanel() {
       setSaid({ good: true, text: `${about.name} = ${small(value)} from the next frame on.` });
       setEdited(false);
     } catch (error) {
-      const refused = error instanceof Refused || error instanceof Error ? error.message : String(error);
+      const refused = messageOf(error);
       setSaid({ good: false, text: refused });
     }
   };

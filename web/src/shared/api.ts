@@ -27,6 +27,11 @@ export class Refused extends Error {
   }
 }
 
+/** What an error says to the reader of the page. */
+export function messageOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
+}
+
 export function call(path: string, options: RequestInit = {}): Promise<Response> {
   const headers = new Headers(options.headers);
   if (token) headers.set("Authorization", `Bearer ${token}`);
@@ -152,7 +157,7 @@ export async function follow(stream: Following): Promise<void> {
       }
       if (performance.now() - began > 5000) wait = 500;
     } catch (error) {
-      reason = error instanceof Error ? error.message : String(error);
+      reason = messageOf(error);
       if (error instanceof Refused && error.status === 401) return;
     }
     if (stream.signal.aborted) return;

@@ -71,7 +71,7 @@ function options(props: ChartProps, width: number, cursor: (index: number | null
           width: line.points ? 0 : 1.5,
           ...(line.dash ? { dash: line.dash } : {}),
           ...(line.steps ? { paths: uPlot.paths.stepped!({ align: 1 }) } : {}),
-          points: line.points ? { show: true, size: 5, fill: () => colour(line.colour) } : { show: isLonely, size: 5, fill: () => colour(line.colour) },
+          points: { show: line.points ? true : isLonely, size: 5, fill: () => colour(line.colour) },
         }),
       ),
     ],
@@ -89,7 +89,8 @@ function moment(seconds: number, step: number): string {
   const at = new Date(seconds * 1000);
   if (step >= 86_400) return at.toLocaleDateString(undefined, { day: "numeric", month: "short" });
   const clock = at.toLocaleTimeString("en-GB");
-  return step >= 60 ? clock.slice(0, 5) : step >= 1 ? clock : `${clock}.${Math.floor(at.getMilliseconds() / 100)}`;
+  if (step >= 60) return clock.slice(0, 5);
+  return step >= 1 ? clock : `${clock}.${Math.floor(at.getMilliseconds() / 100)}`;
 }
 
 function bound(fixed: number | null | undefined, pad: number): uPlot.Range.Limit {

@@ -11,8 +11,9 @@ export function count(value: number | undefined | null): string {
 /** `1.23 M`: for figures that would be too long. */
 export function short(value: number | undefined | null): string {
   if (value === undefined || value === null) return NONE;
-  if (Math.abs(value) < 100_000) return plain.format(Math.round(value));
-  const [divisor, letter] = Math.abs(value) >= 1e9 ? [1e9, "G"] : Math.abs(value) >= 1e6 ? [1e6, "M"] : [1e3, "k"];
+  const size = Math.abs(value);
+  if (size < 100_000) return plain.format(Math.round(value));
+  const [divisor, letter] = LARGE.find(([from]) => size >= from)!;
   return `${(value / divisor).toPrecision(3)}${THIN}${letter}`;
 }
 
@@ -33,7 +34,8 @@ function digits(value: number): string {
   const size = Math.abs(value);
   if (size === 0) return "0";
   if (size >= 100) return plain.format(Math.round(value));
-  return value.toFixed(size >= 10 ? 1 : size >= 1 ? 2 : 3);
+  if (size >= 10) return value.toFixed(1);
+  return value.toFixed(size >= 1 ? 2 : 3);
 }
 
 const LARGE: readonly [number, string][] = [
@@ -133,7 +135,7 @@ export function certificates(all: readonly { name: string; until_s: number }[], 
   const words = all.map(({ name, until_s }) => {
     const days = Math.floor((until_s * 1000 - now) / 86_400_000);
     const until = new Date(until_s * 1000).toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" });
-    return `${name} ${days < 0 ? `ended on ${until}` : `until ${until} (${plural(days, "day")})`}`;
+    return days < 0 ? `${name} ended on ${until}` : `${name} until ${until} (${plural(days, "day")})`;
   });
   return words.join(", ");
 }

@@ -2,7 +2,7 @@
 
 import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
-import { answer, caller, tokenRefused, useToken } from "./api";
+import { answer, caller, messageOf, tokenRefused, useToken } from "./api";
 
 export type Mood = "good" | "bad" | "wait" | "none";
 
@@ -68,7 +68,7 @@ export function Unlock({ what }: { what: string }) {
     try {
       await useToken(text);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
     setText("");
   };
@@ -144,7 +144,7 @@ export function Download({ path, name, children }: { path: string; name: string;
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
+      setFault(messageOf(error));
     }
   };
   return (

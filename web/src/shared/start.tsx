@@ -3,7 +3,7 @@
 import type { Signal } from "@preact/signals";
 import { render } from "preact";
 import type { VNode } from "preact";
-import { askWho, pause } from "./api";
+import { askWho, messageOf, pause } from "./api";
 
 /** Shows `page`, then asks the service who the caller is until it answers: it may still be starting. `lost` has the reason. */
 export async function start(page: VNode, lost: Signal<string | undefined>): Promise<void> {
@@ -14,7 +14,7 @@ export async function start(page: VNode, lost: Signal<string | undefined>): Prom
       lost.value = undefined;
       return;
     } catch (error) {
-      lost.value = error instanceof Error ? error.message : String(error);
+      lost.value = messageOf(error);
       await pause(1000);
     }
   }

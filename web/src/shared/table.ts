@@ -16,11 +16,24 @@ export interface Column<T> {
 /** Sorted by a column; rows without a value come last in both directions. */
 export function sorted<T>(rows: readonly T[], column: Column<T>, down: boolean): T[] {
   return [...rows].sort((a, b) => {
-    const [x, y] = [column.key(a), column.key(b)];
-    if (x === undefined || y === undefined) return x === y ? 0 : x === undefined ? 1 : -1;
+    const x = column.key(a);
+    const y = column.key(b);
+    if (x === undefined && y === undefined) return 0;
+    if (x === undefined) return 1;
+    if (y === undefined) return -1;
     const order = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y));
     return down ? -order : order;
   });
+}
+
+/** The order of a table, for screen readers. */
+export function order(down: boolean): "descending" | "ascending" {
+  return down ? "descending" : "ascending";
+}
+
+/** The mark of the same order behind the head of its column. */
+export function arrow(down: boolean): string {
+  return down ? " ▾" : " ▴";
 }
 
 function field(value: number | string | undefined): string {

@@ -11,16 +11,24 @@ export const TARGETS = [
 
 export type TargetName = (typeof TARGETS)[number]["name"];
 
+export interface HeldTarget {
+  name: TargetName;
+  value: number;
+}
+
 /** Name and value of a target, the only field of its message. */
-export function nameAndValue(target: object | null | undefined): [TargetName, number] | undefined {
+export function nameAndValue(target: object | null | undefined): HeldTarget | undefined {
   const entry = Object.entries(target ?? {})[0];
-  return entry && [entry[0] as TargetName, entry[1] as number];
+  if (!entry) return undefined;
+  const [name, value] = entry;
+  return { name: name as TargetName, value: value as number };
 }
 
 /** `skip rate 0.5 of the frames`. */
 export function heldText(target: object | null | undefined): string {
   const held = nameAndValue(target);
   if (!held) return "nothing";
-  const about = TARGETS.find((one) => one.name === held[0]);
-  return `${about?.words ?? held[0]} ${small(held[1])}${about?.unit ? ` ${about.unit}` : ""}`;
+  const about = TARGETS.find((one) => one.name === held.name);
+  const unit = about?.unit ? ` ${about.unit}` : "";
+  return `${about?.words ?? held.name} ${small(held.value)}${unit}`;
 }
