@@ -36,12 +36,12 @@ describe("the state of a hub", () => {
   test("says that it stores nothing, and why, before all else", () => {
     const reasons = { database: "the disk is full" };
     const faults = [["database", "the disk is full"]];
-    expect(hubState(undefined, true, { ready: true, reasons: {} })).toEqual({ mood: "good", word: "connected", faults: [] });
-    expect(hubState(undefined, true, { ready: true, reasons })).toEqual({ mood: "bad", word: "degraded", faults });
-    expect(hubState(undefined, true, { ready: false, reasons })).toEqual({ mood: "bad", word: "not ready", faults });
-    expect(hubState("the stream was refused", false, { ready: false, reasons }).word).toBe("not ready");
-    expect(hubState("it ended", true, undefined).word).toBe("hub does not answer");
-    expect(hubState(undefined, false, undefined).word).toBe("connecting");
+    expect(hubState({ isKnown: true, readiness: { ready: true, reasons: {} } })).toEqual({ mood: "good", word: "connected", faults: [] });
+    expect(hubState({ isKnown: true, readiness: { ready: true, reasons } })).toEqual({ mood: "bad", word: "degraded", faults });
+    expect(hubState({ isKnown: true, readiness: { ready: false, reasons } })).toEqual({ mood: "bad", word: "not ready", faults });
+    expect(hubState({ lost: "the stream was refused", isKnown: false, readiness: { ready: false, reasons } }).word).toBe("not ready");
+    expect(hubState({ lost: "it ended", isKnown: true }).word).toBe("hub does not answer");
+    expect(hubState({ isKnown: false }).word).toBe("connecting");
   });
 });
 
@@ -291,8 +291,8 @@ describe("tables", () => {
   const words: Column<{ v?: number; t: string }> = { id: "t", head: "t", key: (row) => row.t, cell: () => null };
   test("what has no value comes last either way", () => {
     const rows = [{ t: "a" }, { v: 2, t: "b" }, { v: 10, t: "c" }];
-    expect(sorted(rows, column, false).map((row) => row.t)).toEqual(["b", "c", "a"]);
-    expect(sorted(rows, column, true).map((row) => row.t)).toEqual(["c", "b", "a"]);
+    expect(sorted(rows, column, "ascending").map((row) => row.t)).toEqual(["b", "c", "a"]);
+    expect(sorted(rows, column, "descending").map((row) => row.t)).toEqual(["c", "b", "a"]);
   });
   test("a file of them is CSV that no spreadsheet takes for formulas", () => {
     const text = csv([{ v: -1.5, t: 'say "hi", you' }, { t: "=1+1" }], [column, words]);

@@ -6,7 +6,7 @@ import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { messageOf } from "../shared/api";
 import { ago, count, dateTime, joules, percent, plural, small } from "../shared/format";
 import { CopyButton, Section } from "../shared/parts";
-import { arrow, order } from "../shared/table";
+import { arrow, type Order } from "../shared/table";
 import { nameAndValue } from "../shared/target";
 import { Fault, Presence, useLoaded } from "./parts";
 import { href, refine, route } from "./route";
@@ -116,6 +116,7 @@ function Table() {
 
   const shown: number[] = [];
   for (let index = first; index <= last && index < rows.total; index += 1) shown.push(index);
+  const order: Order = filter.down ? "descending" : "ascending";
   // States begin with the worst, everything else with the least.
   const sort = (id: string) => {
     const down = filter.sort === id ? !filter.down : id === "state";
@@ -158,12 +159,12 @@ function Table() {
                   key={column.id}
                   role="columnheader"
                   class={column.class}
-                  aria-sort={column.sort && filter.sort === column.sort ? order(filter.down) : undefined}
+                  aria-sort={column.sort && filter.sort === column.sort ? order : undefined}
                 >
                   {column.sort ? (
                     <button type="button" class="sort" onClick={() => sort(column.sort!)}>
                       {column.head}
-                      <span aria-hidden="true">{filter.sort === column.sort ? arrow(filter.down) : ""}</span>
+                      <span aria-hidden="true">{filter.sort === column.sort ? arrow(order) : ""}</span>
                     </button>
                   ) : (
                     column.head

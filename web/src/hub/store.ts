@@ -54,16 +54,21 @@ async function lookAtReadiness(): Promise<void> {
   if (found.ready !== undefined) readiness.value = { ready: found.ready, reasons: found.reasons ?? {} };
 }
 
+/** What is known of the hub. */
+export interface HubFacts {
+  /** Why it does not answer. */
+  lost?: string | undefined;
+  /** Whether it has ever told of its fleet. */
+  isKnown: boolean;
+  readiness?: HubReadiness | undefined;
+}
+
 /** The hub in a word, and why it is not well. */
-export function hubState(
-  lost: string | undefined,
-  known: boolean,
-  now: HubReadiness | undefined,
-): { mood: Mood; word: string; faults: [part: string, reason: string][] } {
-  const faults = Object.entries(now?.reasons ?? {});
-  if (now && !now.ready) return { mood: "bad", word: "not ready", faults };
+export function hubState({ lost, isKnown, readiness }: HubFacts): { mood: Mood; word: string; faults: [part: string, reason: string][] } {
+  const faults = Object.entries(readiness?.reasons ?? {});
+  if (readiness && !readiness.ready) return { mood: "bad", word: "not ready", faults };
   if (lost !== undefined) return { mood: "bad", word: "hub does not answer", faults: [] };
-  if (!known) return { mood: "wait", word: "connecting", faults };
+  if (!isKnown) return { mood: "wait", word: "connecting", faults };
   return faults.length > 0 ? { mood: "bad", word: "degraded", faults } : { mood: "good", word: "connected", faults };
 }
 

@@ -18,7 +18,7 @@ const VIEWS: [string, string][] = [
 
 export function Header() {
   const who = caller.value;
-  const is = hubState(lost.value, fleet.value !== undefined, readiness.value);
+  const is = hubState({ lost: lost.value, isKnown: fleet.value !== undefined, readiness: readiness.value });
   const here = route.value.path[0] === "nodes" ? "fleet" : route.value.path[0];
   return (
     <header>

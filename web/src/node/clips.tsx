@@ -3,7 +3,7 @@
 import { useState } from "preact/hooks";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
-import { arrow, csv, order, type Column, sorted } from "../shared/table";
+import { arrow, csv, type Column, type Order, sorted } from "../shared/table";
 import { cameras, clips, overview } from "./store";
 import type { ClipReport } from "./types";
 
@@ -71,12 +71,16 @@ function columns(several: boolean): Column<ClipReport>[] {
 }
 
 export function Clips() {
-  const [sorting, setSorting] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
+  const [sorting, setSorting] = useState<{ id: string; order: Order }>({ id: "started", order: "descending" });
   const all = columns(cameras.value.length > 1);
   // A column is hidden if no clip has a value for it.
   const hasValue = (column: Column<ClipReport>) => clips.value.some((clip) => column.key(clip) !== undefined);
   const shown = all.filter((column) => !OPTIONAL.includes(column.id) || hasValue(column));
-  const rows = sorted(clips.value, all.find((column) => column.id === sorting.id) ?? all[0]!, sorting.down);
+  const rows = sorted(clips.value, all.find((column) => column.id === sorting.id) ?? all[0]!, sorting.order);
+  const sortBy = (id: string) => {
+    const turns = sorting.id === id && sorting.order === "descending";
+    setSorting({ id, order: turns ? "ascending" : "descending" });
+  };
   const download = () => {
     const file = new Blob([csv(rows, all)], { type: "text/csv" });
     const link = document.createElement("a");
@@ -104,14 +108,14 @@ export function Clips() {
             <thead>
               <tr>
                 {shown.map((column) => (
-                  <th key={column.id} scope="col" class={column.left ? "left" : ""} aria-sort={sorting.id === column.id ? order(sorting.down) : undefined}>
+                  <th key={column.id} scope="col" class={column.left ? "left" : ""} aria-sort={sorting.id === column.id ? sorting.order : undefined}>
                     <button
                       type="button"
                       class="sort"
-                      onClick={() => setSorting({ id: column.id, down: sorting.id === column.id ? !sorting.down : true })}
+                      onClick={() => sortBy(column.id)}
                     >
                       {column.head}
-                      <span aria-hidden="true">{sorting.id === column.id ? arrow(sorting.down) : ""}</span>
+                      <span aria-hidden="true">{sorting.id === column.id ? arrow(sorting.order) : ""}</span>
                     </button>
                   </th>
                 ))}

@@ -73,16 +73,17 @@ export const CAUSES: Record<CallCause, CauseWords> = {
 
 /** Why the detector was called on a frame, as its node says; empty when it was not. */
 export function why(frame: Detections): string {
+  let cause = "";
+  if (frame.cause) cause = CAUSES[frame.cause]?.meaning ?? frame.cause;
   // A node of an older version does not report it.
-  const cause = frame.cause ? (CAUSES[frame.cause]?.meaning ?? frame.cause) : words(frame.state).ran ? "the policy asked for it" : "";
-  if (frame.degraded) return `the detector was needed but not available${cause ? `: ${cause}` : ""}`;
+  else if (words(frame.state).ran) cause = "the policy asked for it";
+  if (frame.degraded) return cause ? `the detector was needed but not available: ${cause}` : "the detector was needed but not available";
   if (!cause) return "";
   const limit = frame.threshold?.name === "u" ? frame.threshold.value : undefined;
   const tau = frame.tau_max;
-  const of_tau = frame.cause === "uncertain" || frame.cause === "new_object";
-  return of_tau && limit !== undefined && tau !== undefined && tau !== null
-    ? `${cause}: τ ${small(tau)} ${tau >= limit ? "≥" : "<"} u ${small(limit)}`
-    : cause;
+  const isOfTau = frame.cause === "uncertain" || frame.cause === "new_object";
+  if (!isOfTau || limit === undefined || tau === undefined || tau === null) return cause;
+  return `${cause}: τ ${small(tau)} ${tau >= limit ? "≥" : "<"} u ${small(limit)}`;
 }
 
 /** The past of a camera as frames, oldest first. `name` is that of the threshold of the policy in force. */
@@ -116,7 +117,7 @@ export function describe(frame: Seen, now: number): string {
   const parts = [
     `frame ${frame.seq}`,
     `${age.toFixed(1)} s ago`,
-    frame.pending ? "predicted, detector at work" : frame.degraded ? `${state}, degraded` : `${state}, ${name}`,
+    frame.pending ? "predicted, detector at work" : `${state}, ${frame.degraded ? "degraded" : name}`,
     ...(reason ? [reason] : []),
     boxes === 1 ? "1 box" : `${boxes} boxes`,
     `${frame.latency_ms.total.toFixed(1)} ms`,

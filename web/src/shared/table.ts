@@ -13,27 +13,25 @@ export interface Column<T> {
   left?: boolean;
 }
 
-/** Sorted by a column; rows without a value come last in both directions. */
-export function sorted<T>(rows: readonly T[], column: Column<T>, down: boolean): T[] {
+/** The order of a table, in the words of `aria-sort`. */
+export type Order = "descending" | "ascending";
+
+/** Sorted by a column; rows without a value come last in both orders. */
+export function sorted<T>(rows: readonly T[], column: Column<T>, order: Order): T[] {
   return [...rows].sort((a, b) => {
     const x = column.key(a);
     const y = column.key(b);
     if (x === undefined && y === undefined) return 0;
     if (x === undefined) return 1;
     if (y === undefined) return -1;
-    const order = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y));
-    return down ? -order : order;
+    const difference = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y));
+    return order === "descending" ? -difference : difference;
   });
 }
 
-/** The order of a table, for screen readers. */
-export function order(down: boolean): "descending" | "ascending" {
-  return down ? "descending" : "ascending";
-}
-
-/** The mark of the same order behind the head of its column. */
-export function arrow(down: boolean): string {
-  return down ? " ▾" : " ▴";
+/** The mark of an order behind the head of its column. */
+export function arrow(order: Order): string {
+  return order === "descending" ? " ▾" : " ▴";
 }
 
 function field(value: number | string | undefined): string {
