@@ -20,7 +20,7 @@ const PIXELS: &str = "pixels";
 const CONVERTED: &str = "converted";
 
 /// The graph as a session, and where its output is put.
-pub(super) struct Conversion {
+pub(super) struct PixelConversion {
     session: Session,
     /// Memory of the device that runs the model.
     memory: Allocator,
@@ -28,7 +28,7 @@ pub(super) struct Conversion {
     element: TensorElementType,
 }
 
-impl Conversion {
+impl PixelConversion {
     /// Builds the graph that turns `format.as_pixels()` into `format`, in the elements that the model takes. `memory`
     /// chooses where the output of the session is put.
     pub(super) fn open(
@@ -212,7 +212,7 @@ mod tests {
         let environment = onnxruntime::environment(None).unwrap();
         let options = Session::builder(&environment).unwrap();
         let memory = |_: &Session| Ok(Allocator::default());
-        let mut conversion = Conversion::open(format, element, &options, memory).unwrap();
+        let mut conversion = PixelConversion::open(format, element, &options, memory).unwrap();
         let mut pixels = Vec::new();
         for tensor in letterboxed(format.as_pixels()) {
             match tensor {

@@ -3,7 +3,7 @@
 use super::{
     ElementType, EngineCache, ExecutionProvider, GpuConfig, Metadata, Signature, StartError,
 };
-use super::{StartErrorKind, TensorSpec, conversion::Conversion};
+use super::{StartErrorKind, TensorSpec, conversion::PixelConversion};
 use super::{fault, file_kind, onnxruntime, provider, waiting};
 use crate::picture::{InputFormat, InputTensor};
 use albireo_core::geometry::PictureSize;
@@ -67,7 +67,7 @@ pub struct OnnxSession {
     provider: ExecutionProvider,
     engines: Option<EngineCache>,
     /// What turns pixels into the input.
-    conversion: Option<Conversion>,
+    conversion: Option<PixelConversion>,
     buffers: RunBuffers,
 }
 
@@ -177,7 +177,7 @@ impl OnnxSession {
         let element = self.signature.picture().map_or(&ElementType::Float32, |it| &it.element);
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
         let open = |provider| {
-            Conversion::open(
+            PixelConversion::open(
                 format,
                 element,
                 &builder(&environment, settings, provider)?,

@@ -52,14 +52,13 @@ mod tests {
         #endif
     "#;
 
-    /// Run by the tests in a process of its own, which has loaded no other driver.
+    /// The test below runs it in a process of its own, which has loaded no other driver.
     #[test]
-    #[ignore = "is a part of the others"]
-    fn ask() {
+    fn whatever_the_driver_is_there_is_an_answer() {
         println!("answer: {:?}", sleep(2));
     }
 
-    /// What [`ask`] is answered by a driver built with `options`, and what that was asked for.
+    /// What the test above is answered by a driver built with `options`, and what that was asked for.
     fn asked_of_a_driver(folder: &Path, options: &[&str]) -> (String, String) {
         let (source, asked) = (folder.join("driver.c"), folder.join("asked"));
         std::fs::write(&source, DRIVER).unwrap();
