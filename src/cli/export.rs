@@ -64,5 +64,8 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     for what in &done.left_out {
         println!("left out: {what}");
     }
+    for what in &done.notes {
+        println!("note: {what}");
+    }
     Ok(())
 }

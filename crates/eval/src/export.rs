@@ -42,6 +42,8 @@ pub struct Exported {
     pub boxes: u64,
     /// What was left out, a sentence each.
     pub left_out: Vec<String>,
+    /// What a user of the frames must know, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// The recordings in a folder in the order of their names, or the one file.
@@ -99,7 +101,7 @@ pub fn export(
         });
         exported.left_out.extend(read?);
         for sequence in sequences.into_values() {
-            sequence.finish()?;
+            exported.notes.extend(sequence.finish()?);
         }
         exported.recordings += u64::from(exported.pictures > before);
         done(&exported);

@@ -3,6 +3,7 @@
 
 mod downsampled;
 mod open;
+mod pace;
 mod pictures;
 mod recording;
 mod source;
@@ -12,6 +13,7 @@ mod video_files;
 pub use downsampled::Downsampled;
 pub(crate) use downsampled::FrameSelection;
 pub use open::SourceName;
+pub(crate) use pace::Pace;
 pub use pictures::Pictures;
 pub(crate) use source::clip_name;
 pub use source::{FrameSource, Stopper};

@@ -178,8 +178,6 @@ impl Iterator for Messages {
 pub struct Overview {
     /// The channels in the order of their topics, and the number of messages of each.
     pub channels: Vec<(Arc<Channel>, u64)>,
-    /// The times of the first and the last message, nanoseconds.
-    pub times_ns: Option<(u64, u64)>,
     /// Why the file has no end, if it has none.
     pub damage: Option<String>,
 }
@@ -207,9 +205,6 @@ impl Overview {
             Some((_, count)) => *count += 1,
             None => self.channels.push((Arc::clone(&message.channel), 1)),
         }
-        let time_ns = message.time_ns;
-        let (first, last) = self.times_ns.unwrap_or((time_ns, time_ns));
-        self.times_ns = Some((first.min(time_ns), last.max(time_ns)));
     }
 }
 
@@ -238,10 +233,8 @@ fn indexed(path: &Path) -> Result<Option<Overview>, RecordingError> {
         let count = counts.channel_message_counts.get(&channel.id).copied();
         (Arc::new(known_channel(channel)), count.unwrap_or(0))
     });
-    let times = (counts.message_start_time, counts.message_end_time);
     Ok(Some(Overview {
         channels: channels.collect(),
-        times_ns: (counts.message_count > 0).then_some(times),
         damage: None,
     }))
 }

@@ -4,6 +4,8 @@ use super::frames::LabelledFrame;
 use super::{ExportedFrames, place_of, sequence_name};
 use crate::error::EvalError;
 use crate::files::write;
+use crate::footage::Pace;
+use crate::text::counted;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -90,8 +92,8 @@ impl Sequence {
         FIRST_OTHER + place_of(&mut self.others, name)
     }
 
-    /// Writes the boxes and `seqinfo.ini`.
-    pub(super) fn finish(self) -> Result<(), EvalError> {
+    /// Writes the boxes and `seqinfo.ini`. Returns what a user of the sequence must know, if there is something.
+    pub(super) fn finish(self) -> Result<Option<String>, EvalError> {
         let boxes = match self.frames {
             ExportedFrames::Shown => "gt/gt.txt",
             ExportedFrames::Audit => "det/det.txt",
@@ -102,21 +104,26 @@ impl Sequence {
             let lines: String = (FIRST_OTHER..).zip(&self.others).map(line).collect();
             write(&self.folder.join("classes.txt"), lines)?;
         }
-        let seconds = match (self.times_ns.first(), self.times_ns.last()) {
-            (Some(first), Some(last)) => last.saturating_sub(*first) as f64 / 1e9,
-            _ => 0.0,
-        };
-        let frames = self.times_ns.len();
-        let rate = match self.frames {
-            ExportedFrames::Shown if seconds > 0.0 => (frames - 1) as f64 / seconds,
+        let pace = match self.frames {
+            ExportedFrames::Shown => Pace::of(&self.times_ns),
             // Single frames have no rate.
-            _ => 1.0,
+            ExportedFrames::Audit => None,
         };
+        let rate = pace.map_or(1.0, |pace| pace.rate);
+        let frames = self.times_ns.len();
         let [width, height] = self.size;
         let info = format!(
             "[Sequence]\nname={}\nimDir=img1\nframeRate={rate:.2}\nseqLength={frames}\nimWidth={width}\nimHeight={height}\nimExt=.jpg\n",
             self.name
         );
-        write(&self.folder.join("seqinfo.ini"), info)
+        write(&self.folder.join("seqinfo.ini"), info)?;
+        let jumps = pace.map_or(0, |pace| pace.jumps);
+        let note = format!(
+            "{}: its frames are no single drive: their times jump {} (a replay that loops, a pause between events); frameRate \
+             is that between the jumps",
+            self.name,
+            counted(jumps, "time")
+        );
+        Ok((jumps > 0).then_some(note))
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::data;
+use crate::footage::{SourceName, VideoEncoding};
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, FrameState};
 use albireo_recording::{AuditMessage, RecordingFile};
@@ -27,9 +28,14 @@ fn picture() -> Bytes {
 
 /// A recording of four frames, two of which the audit keeps.
 fn recorded(path: &Path) {
+    recorded_at(path, &[0, 100, 200, 300]);
+}
+
+/// A recording of frames at these milliseconds, of which the audit keeps every second one.
+fn recorded_at(path: &Path, times_ms: &[u64]) {
     let mut file = RecordingFile::create(path).unwrap();
-    for seq in 0..4 {
-        let t_ns = 1_700_000_000_000_000_000 + seq * 100_000_000;
+    for (seq, ms) in (0..).zip(times_ms) {
+        let t_ns = 1_700_000_000_000_000_000 + ms * 1_000_000;
         let shown = DetectionsMessage {
             v: VERSION,
             seq,
@@ -122,6 +128,39 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_ours() {
         std::fs::read(out.join("a_front/img1/000004.jpg")).unwrap(),
         picture()
     );
+}
+
+#[test]
+fn a_drive_that_was_replayed_in_a_loop_has_its_own_rate_and_the_loop_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    // Two drives with a pause between them, and both again.
+    let drives = [0, 125, 250, 375, 500_000, 500_125, 500_250];
+    recorded_at(&path, &[drives, drives].concat());
+    let out = folder.path().join("out");
+    let files = recordings(&path).unwrap();
+    let done = export(
+        &files,
+        &out,
+        ExportFormat::Mot,
+        ExportedFrames::Shown,
+        |_| {},
+    )
+    .unwrap();
+    let info = std::fs::read_to_string(out.join("a_front/seqinfo.ini")).unwrap();
+    assert!(info.contains("frameRate=8.00\nseqLength=14\n"), "{info}");
+    let [note] = &*done.notes else {
+        panic!("{:?}", done.notes);
+    };
+    assert!(
+        note.starts_with("a_front: its frames are no single drive: their times jump 3 times"),
+        "{note}"
+    );
+
+    // Who evaluates or replays the recording gets the same rate.
+    let source: SourceName = format!("{}:/front/image", path.display()).parse().unwrap();
+    let source = source.open(None, VideoEncoding::Jpeg).unwrap();
+    assert_eq!(source.rate(), 8.0);
 }
 
 #[test]

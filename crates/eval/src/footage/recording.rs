@@ -1,5 +1,6 @@
 //! Reads the pictures of an MCAP file: a recording of a node, of Foxglove, or of ROS 2.
 
+use super::pace::Pace;
 use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name, plain_name};
 use crate::error::EvalError;
@@ -14,6 +15,9 @@ use std::path::{Path, PathBuf};
 /// The kinds of pictures that are read, for errors.
 const READABLE: &str = "foxglove.CompressedImage in protobuf or JSON, and ROS 2 sensor_msgs/msg/CompressedImage and Image in \
                         CDR are read";
+
+/// The number of pictures whose times give the rate: enough, and soon read.
+const TIMED: usize = 500;
 
 /// The pictures on one topic of a file.
 pub(super) struct Recording {
@@ -143,12 +147,10 @@ impl Recording {
                 "albireo: {file} ends early ({damage}); its {frames} whole pictures are used"
             );
         }
-        let seconds = overview.times_ns.map_or(0.0, |(first, last)| (last - first) as f64 / 1e9);
+        let of_topic = opened(path)?.filter(|message| message.channel.topic == topic);
+        let times: Vec<u64> = of_topic.map(|message| message.time_ns).take(TIMED).collect();
         // As exact as such a clock, and as a person reads it.
-        let mut rate = (frames.saturating_sub(1) as f64 / seconds * 1e3).round() / 1e3;
-        if !(0.01..=1000.0).contains(&rate) {
-            rate = Pictures::DEFAULT_RATE;
-        }
+        let rate = Pace::of(&times).map(|pace| (pace.rate * 1e3).round() / 1e3);
         let mut name = clip_name(path);
         if topics.len() > 1 {
             name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
@@ -157,7 +159,9 @@ impl Recording {
             messages: opened(path)?,
             path: path.to_owned(),
             name,
-            rate,
+            rate: rate
+                .filter(|rate| (0.01..=1000.0).contains(rate))
+                .unwrap_or(Pictures::DEFAULT_RATE),
             frames,
             topic,
             number: 0,
