@@ -16,7 +16,7 @@ mod summary;
 mod table;
 
 pub use run::{ClipRun, FRAMES, JUDGED_BY, Setup, SetupRuns, TRACED_CLIPS};
-pub use runs_file::{RunsFile, read};
+pub use runs_file::{RunsFile, files_of, read};
 pub use table::render;
 
 use crate::error::EvalError;

@@ -417,14 +417,13 @@ impl DataSet {
         Ok(self)
     }
 
-    /// Fails unless there is a clip to evaluate.
-    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, EvalError> {
+    /// Fails unless there is a clip to evaluate; `expected` is what the layout has, with an example.
+    pub(crate) fn nonempty(self, path: &Path, expected: &str) -> Result<Self, EvalError> {
         if self.clips.is_empty() {
             let said = self.report.lines().join("; ");
-            return Err(EvalError::content(
-                path,
-                format!("no clip to evaluate was found here. {said}"),
-            ));
+            let what =
+                format!("no clip to evaluate was found here; expected is {expected}. {said}");
+            return Err(EvalError::content(path, what.trim_end()));
         }
         Ok(self)
     }

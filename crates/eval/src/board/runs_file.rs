@@ -180,14 +180,39 @@ fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
     Ok(found)
 }
 
+/// What is joined, for errors.
+const JOINED: &str = "give files of `albireo eval board`, such as results/yolo26n.fp16.orin.jsonl, or summary.csv files of the \
+                      paper's published results";
+
+/// The files to join: those that are named, and for a folder its `.jsonl` files, in the order of their names.
+///
+/// # Errors
+/// When a folder cannot be read or has none.
+pub fn files_of(named: &[PathBuf]) -> Result<Vec<PathBuf>, EvalError> {
+    let is_runs = |path: &Path| path.extension().is_some_and(|extension| extension == "jsonl");
+    let mut all = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            all.push(path.clone());
+            continue;
+        }
+        let found = crate::files::entries(path, is_runs)
+            .map_err(|error| EvalError::read(path, error, JOINED))?;
+        if found.is_empty() {
+            let what = format!("this is a folder, and it has no .jsonl file; {JOINED}");
+            return Err(EvalError::content(path, what));
+        }
+        all.extend(found);
+    }
+    Ok(all)
+}
+
 /// Reads a file of `albireo eval board`, or the published rows of the paper (CSV). A last line that was cut off is left out.
 ///
 /// # Errors
 /// When the file cannot be read, is neither, or has no run.
 pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
-    let help =
-        "give files of `albireo eval board`, or summary.csv files of the paper's published results";
-    let text = crate::files::read_text(path, help)?;
+    let text = crate::files::read_text(path, JOINED)?;
     let found = if text.starts_with('{') {
         let whole = text.rfind('\n').map_or(0, |end| end + 1);
         parse(path, &text[..whole])?
@@ -195,7 +220,7 @@ pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
         Some(published::parse(path, &text)?)
     };
     let found = found.filter(|found| !found.runs.is_empty());
-    found.ok_or_else(|| EvalError::content(path, format!("it has no rows; {help}")))
+    found.ok_or_else(|| EvalError::content(path, format!("it has no rows; {JOINED}")))
 }
 
 #[cfg(test)]

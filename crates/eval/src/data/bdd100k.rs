@@ -171,7 +171,10 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
         data.push(clip);
     }
     let place = source.truth.or(source.detections).unwrap_or(Path::new("."));
-    data.nonempty(place)
+    data.nonempty(
+        place,
+        "JSON of BDD100K with frames and labels, such as labels/box_track_20/val/b1c66a42-6f7d68ca.json, or a folder of it",
+    )
 }
 
 fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {

@@ -17,13 +17,14 @@ use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
+use crate::files;
 use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 #[derive(Deserialize)]
 struct Dataset {
@@ -119,6 +120,7 @@ pub(super) fn read_as(
     results: Option<&Path>,
     classes: &Evaluated,
 ) -> Result<DataSet, EvalError> {
+    let dataset = &file_of(dataset)?;
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let mut categories = Categories::new();
     for Category { id, name } in &set.categories {
@@ -185,7 +187,10 @@ pub(super) fn read_as(
     for clip in drafts {
         data.push(clip);
     }
-    data.nonempty(dataset)
+    data.nonempty(
+        dataset,
+        "a file with images, annotations and categories, such as annotations/instances_val2017.json",
+    )
 }
 
 /// A category, and the class that it is.
@@ -258,6 +263,27 @@ fn mark_other_classes(
         limited += 1;
     }
     limited
+}
+
+/// The file of a data set: `place` itself, or the one in a folder that `albireo export --to coco` has written.
+///
+/// # Errors
+/// When a folder has no such file.
+fn file_of(place: &Path) -> Result<PathBuf, EvalError> {
+    if !place.is_dir() {
+        return Ok(place.to_owned());
+    }
+    let exported = place.join("annotations.json");
+    if exported.is_file() {
+        return Ok(exported);
+    }
+    let is_json = |path: &Path| path.extension().is_some_and(|extension| extension == "json");
+    let found = files::entries(place, is_json).unwrap_or_default();
+    let example = found.first().unwrap_or(&exported).display().to_string();
+    let what = format!(
+        "this is a folder, and COCO is one JSON file with images, annotations and categories: give it, such as {example}"
+    );
+    Err(EvalError::content(place, what))
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {

@@ -76,7 +76,10 @@ pub(super) fn read_as(folder: &Path, classes: &Evaluated) -> Result<DataSet, Eva
         let clip = read_clip(clip_name(&folder), &files, classes, &mut data.report)?;
         data.push(clip);
     }
-    data.nonempty(folder)
+    data.nonempty(
+        folder,
+        "a folder of XML files for each clip, such as those in Annotations/VID/val",
+    )
 }
 
 fn read_clip(

@@ -39,7 +39,10 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
         let clip = read_sequence(folder, &name, &mut data.report)?;
         data.push(clip);
     }
-    data.nonempty(folder)
+    data.nonempty(
+        folder,
+        "label_02 with a file for each sequence, as in training/label_02/0000.txt",
+    )
 }
 
 fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, EvalError> {

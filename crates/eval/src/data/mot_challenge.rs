@@ -44,7 +44,10 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
         let clip = read_sequence(&folder, &mut data.report)?;
         data.push(clip);
     }
-    data.nonempty(folder)
+    data.nonempty(
+        folder,
+        "a sequence with seqinfo.ini and gt/gt.txt, such as MOT17/train/MOT17-02-FRCNN, or a folder of them",
+    )
 }
 
 fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalError> {

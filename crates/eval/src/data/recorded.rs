@@ -95,7 +95,10 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
             ..clip
         });
     }
-    data.nonempty(folder)
+    data.nonempty(
+        folder,
+        "sequences.json and groundtruth/, as --save-detections writes them",
+    )
 }
 
 fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {

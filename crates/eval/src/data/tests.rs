@@ -51,3 +51,19 @@ fn clips_with_equal_names_get_different_file_names() {
     let names: Vec<&str> = clips.clips.iter().map(|clip| clip.name.as_str()).collect();
     assert_eq!(names, ["a-b", "a-b-2", "-2", "a-b-3"]);
 }
+
+#[test]
+fn a_folder_for_a_coco_file_is_that_of_an_export_or_says_what_is_expected() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = coco::read(folder.path(), None).unwrap_err().to_string();
+    let path = folder.path().display();
+    let expected = format!("{path}: this is a folder, and COCO is one JSON file");
+    assert!(error.starts_with(&expected), "{error}");
+    assert!(
+        error.ends_with(&format!("such as {path}/annotations.json")),
+        "{error}"
+    );
+    let set = r#"{"images": [{"id": 1, "file_name": "a/1.jpg", "width": 64, "height": 48}], "categories": [], "annotations": []}"#;
+    std::fs::write(folder.path().join("annotations.json"), set).unwrap();
+    assert_eq!(coco::read(folder.path(), None).unwrap().clips.len(), 1);
+}

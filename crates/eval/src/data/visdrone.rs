@@ -35,7 +35,10 @@ pub fn read(folder: &Path, picture: PictureSize) -> Result<DataSet, EvalError> {
         let clip = read_sequence(folder, &file, picture, &mut data.report)?;
         data.push(clip);
     }
-    data.nonempty(folder)
+    data.nonempty(
+        folder,
+        "annotations/ with a file for each clip, as in VisDrone2019-VID-val/annotations",
+    )
 }
 
 fn read_sequence(
