@@ -62,11 +62,41 @@ pub(crate) const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
 pub(crate) type Plane<'a> =
     ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
+/// The text of a value with this many decimals.
+pub(crate) type AxisLabel = fn(f64, usize) -> String;
+
+/// The label of a value without a sign of its own.
+pub(crate) fn plain_label(value: f64, decimals: usize) -> String {
+    format!("{value:.decimals$}")
+}
+
+/// The label of a change.
+pub(crate) fn signed_label(value: f64, decimals: usize) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    format!("{value:+.decimals$}").replace('-', "−")
+}
+
+/// The most labels of an axis.
+const MOST_LABELS: usize = 11;
+
+/// The decimals at which the labels of an axis differ: plotters draws at most `most` of them, 1, 2 or 5 times a power of ten
+/// apart.
+fn decimals(range: &Range<f64>, most: usize) -> usize {
+    let least = (range.end - range.start) / most as f64;
+    let unit = 10_f64.powf(least.log10().floor());
+    let steps = [unit, 2.0 * unit, 5.0 * unit, 10.0 * unit];
+    let step = steps.into_iter().find(|step| *step >= least).unwrap_or(unit);
+    // A power of ten may be a little below itself.
+    (-(step * 1.000_001).log10().floor()).clamp(0.0, 9.0) as usize
+}
+
 /// An axis of a chart: its name, its range, and the text of a value.
 pub(crate) struct Axis<'a> {
     pub name: &'a str,
     pub range: Range<f64>,
-    pub label: &'a dyn Fn(&f64) -> String,
+    pub label: AxisLabel,
 }
 
 impl Axis<'_> {
@@ -75,7 +105,7 @@ impl Axis<'_> {
         Self {
             name: "Frames without the detector, %",
             range,
-            label: &|percent| format!("{percent:.0}"),
+            label: plain_label,
         }
     }
 }
@@ -125,6 +155,8 @@ pub(crate) fn chart(
 ) -> Result<String, PlotError> {
     let Legend { places, height } = Legend::new(names);
     let size = (SIZE.0, SIZE.1 + height as u32);
+    let x_decimals = decimals(&x.range, MOST_LABELS);
+    let y_decimals = decimals(&y.range, MOST_LABELS);
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
@@ -143,9 +175,11 @@ pub(crate) fn chart(
             .label_style((FONT, 14).into_font().color(&SOFT_INK))
             .axis_desc_style((FONT, 15).into_font().color(&INK))
             .x_desc(x.name)
-            .x_label_formatter(x.label)
+            .x_label_formatter(&|value| (x.label)(*value, x_decimals))
+            .x_labels(MOST_LABELS)
             .y_desc(y.name)
-            .y_label_formatter(y.label)
+            .y_label_formatter(&|value| (y.label)(*value, y_decimals))
+            .y_labels(MOST_LABELS)
             .draw()?;
         draw(&mut plane)?;
         let text = (FONT, 14).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
@@ -230,17 +264,28 @@ pub(crate) fn state_parts() -> [BarPart<'static>; 5] {
     })
 }
 
+/// The most labels below bars.
+const BAR_LABELS: usize = 6;
+
+/// The label of a share in percent.
+pub(crate) fn percent_label(share: f64, decimals: usize) -> String {
+    // Of a hundred.
+    let decimals = decimals.saturating_sub(2);
+    format!("{:.decimals$} %", share * 100.0)
+}
+
 /// Draws a bar per row, stacked of `parts`; `label` formats a value, and an empty text leaves it out.
 pub(crate) fn stacked(
     rows: &[(String, Vec<f64>)],
     parts: &[BarPart<'_>],
-    label: &dyn Fn(f64) -> String,
+    label: AxisLabel,
 ) -> Result<String, PlotError> {
     let count = rows.len();
     let size = (SIZE.0, 70 + 26 * count.clamp(1, 60) as u32);
     let widest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let longest = rows.iter().map(|(_, values)| values.iter().sum::<f64>()).fold(0.0, f64::max);
     let longest = if longest > 0.0 { longest } else { 1.0 };
+    let decimals = decimals(&(0.0..longest), BAR_LABELS);
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
@@ -260,8 +305,8 @@ pub(crate) fn stacked(
             .bold_line_style(GRID)
             .axis_style(SOFT_INK)
             .label_style((FONT, 14).into_font().color(&SOFT_INK))
-            .x_labels(6)
-            .x_label_formatter(&|value| label(*value))
+            .x_labels(BAR_LABELS)
+            .x_label_formatter(&|value| label(*value, decimals))
             .draw()?;
         let text = |size: i32, ink: RGBColor, h: HPos| {
             let style = (FONT, size).into_font().color(&ink);
@@ -281,7 +326,7 @@ pub(crate) fn stacked(
                 plane.draw_series([Rectangle::new(corners, fill.filled())])?;
                 if *value >= 0.045 * longest {
                     let place = (from + value / 2.0, middle);
-                    let words = label(*value).trim_end_matches(" %").to_owned();
+                    let words = label(*value, decimals).trim_end_matches(" %").to_owned();
                     plane.draw_series([Text::new(words, place, text(12, *ink, HPos::Center))])?;
                 }
                 from += value;
@@ -317,6 +362,7 @@ pub(crate) fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::HashSet;
 
     #[test]
     fn a_legend_lies_above_the_chart_and_in_the_picture_whatever_the_names() {
@@ -337,6 +383,25 @@ mod tests {
         let empty = Legend::new(&[]);
         assert!(empty.places.is_empty());
         assert_eq!(empty.height, 0);
+    }
+
+    #[test]
+    fn no_two_labels_of_an_axis_are_the_same_however_short_the_range() {
+        for end in [1e-3, 0.04, 0.09, 0.3, 0.5, 1.0, 3.3, 7.0, 12.0, 50.0, 1e5] {
+            let axis = || Axis {
+                name: "",
+                range: 0.0..end,
+                label: plain_label,
+            };
+            let svg = chart(axis(), axis(), &[], |_| Ok(())).unwrap();
+            let is_number = |line: &&str| line.trim().parse::<f64>().is_ok();
+            let labels: Vec<&str> = svg.lines().filter(is_number).collect();
+            let different: HashSet<&str> = labels.iter().copied().collect();
+            // Both axes have each.
+            assert!(different.len() > 3, "{end}: {labels:?}");
+            assert_eq!(labels.len(), 2 * different.len(), "{end}: {labels:?}");
+        }
+        assert_eq!(decimals(&(0.0..100.0), MOST_LABELS), 0);
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use super::run::{ClipRun, SetupRuns};
 use super::summary::{PolicyFigures, SetupSummary};
 use crate::chart::{
-    Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, mark, range, stacked, state_parts,
+    Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, mark, percent_label, plain_label,
+    range, signed_label, stacked, state_parts,
 };
 use crate::spec::{BASELINE, short_label};
 use albireo_core::policy::FrameState;
@@ -48,9 +49,7 @@ pub(super) fn figures(
             name: "energy-by-domain",
             title: "Energy by domain",
             caption: "Joules of a clip, mean over the clips.",
-            svg: stacked(&joules_by_domain(summaries, &domains), &parts, &|joules| {
-                format!("{joules:.0}")
-            })?,
+            svg: stacked(&joules_by_domain(summaries, &domains), &parts, plain_label)?,
         });
     }
     for ChangeFigure {
@@ -153,7 +152,7 @@ fn powers(ClipTrace { clip, series }: &ClipTrace) -> Result<String, PlotError> {
             all_points(series).map(|(seconds, _)| *seconds).chain([0.0]),
             0.02,
         ),
-        label: &|seconds| format!("{seconds:.1}"),
+        label: plain_label,
     };
     let watts = Axis {
         name: "Watts",
@@ -161,7 +160,7 @@ fn powers(ClipTrace { clip, series }: &ClipTrace) -> Result<String, PlotError> {
             all_points(series).map(|(_, watts)| *watts).chain([0.0]),
             0.06,
         ),
-        label: &|watts| format!("{watts:.1}"),
+        label: plain_label,
     };
     chart(seconds, watts, &names(series), |plane| {
         for (index, Series { name, points }) in series.iter().enumerate() {
@@ -207,12 +206,12 @@ fn plane(series: &[Series]) -> Result<String, PlotError> {
     let edp = Axis {
         name: "Energy-delay product, J·ms/frame",
         range: range(all_points(series).map(|(edp, _)| *edp), 0.08),
-        label: &|edp| format!("{edp:.0}"),
+        label: plain_label,
     };
     let ap50 = Axis {
         name: "AP@50",
         range: range(all_points(series).map(|(_, ap50)| *ap50), 0.1),
-        label: &|ap50| format!("{ap50:.3}"),
+        label: plain_label,
     };
     chart(edp, ap50, &names(series), |plane| {
         for (index, Series { name, points }) in series.iter().enumerate() {
@@ -228,9 +227,7 @@ fn plane(series: &[Series]) -> Result<String, PlotError> {
 fn states(summaries: &[SetupSummary]) -> Result<String, PlotError> {
     let rows: Vec<(String, Vec<f64>)> =
         each(summaries).map(|(name, figures)| (name, figures.states.to_vec())).collect();
-    stacked(&rows, &state_parts(), &|share| {
-        format!("{:.0} %", share * 100.0)
-    })
+    stacked(&rows, &state_parts(), percent_label)
 }
 
 /// Each policy of each setup, with a name: that of the policy if there is one setup only.
@@ -337,19 +334,18 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
 /// Draws a marker per clip, across the share that `name` describes.
 fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
     let across = range(all_points(series).map(|(share, _)| *share), 0.05);
-    let signed = |value: &f64| format!("{value:+.0}").replace('-', "−");
     let change = Axis {
         name: "Change of AP@50, percentage points",
         range: range(
             all_points(series).map(|(_, points)| *points).chain([0.0]),
             0.06,
         ),
-        label: &signed,
+        label: signed_label,
     };
     let shares = Axis {
         name,
         range: across.clone(),
-        label: &|percent| format!("{percent:.0}"),
+        label: plain_label,
     };
     chart(shares, change, &names(series), |plane| {
         let ends = [(across.start, 0.0), (across.end, 0.0)];

@@ -1,8 +1,8 @@
 //! Draws the figures of a report as SVG.
 
 use crate::chart::{
-    Axis, BAND, FONT, Plane, Plot, PlotError, SOFT_INK, chart, color_of, families, mark, range,
-    stacked, state_parts,
+    Axis, BAND, FONT, Plane, Plot, PlotError, SOFT_INK, chart, color_of, families, mark,
+    percent_label, plain_label, range, signed_label, stacked, state_parts,
 };
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label, split_label};
@@ -87,7 +87,7 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
     let accuracy = Axis {
         name: "AP@50",
         range: up,
-        label: &|ap50| format!("{ap50:.3}"),
+        label: plain_label,
     };
     let names: Vec<_> = families.iter().copied().enumerate().collect();
     chart(Axis::skip_rate(across.clone()), accuracy, &names, |plane| {
@@ -171,9 +171,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
         (label, summary.states.to_vec())
     };
     let rows: Vec<_> = summaries.iter().map(row).collect();
-    stacked(&rows, &state_parts(), &|share| {
-        format!("{:.0} %", share * 100.0)
-    })
+    stacked(&rows, &state_parts(), percent_label)
 }
 
 /// Returns skip rate (percent) and change of AP@50 (percentage points) of every clip with ground truth, by family.
@@ -201,17 +199,10 @@ fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotE
     let all = || changes.iter().flatten();
     let across = range(all().map(|(percent_skipped, _)| *percent_skipped), 0.05);
     let up = range(all().map(|(_, points)| *points).chain([0.0]), 0.06);
-    let signed = |value: &f64| {
-        if *value == 0.0 {
-            "0".to_owned()
-        } else {
-            format!("{value:+.0}").replace('-', "−")
-        }
-    };
     let change = Axis {
         name: "Change of AP@50, percentage points",
         range: up,
-        label: &signed,
+        label: signed_label,
     };
     let is_shown = |index: &usize| !changes[*index].is_empty();
     let shown: Vec<usize> = (0..families.len()).filter(is_shown).collect();
