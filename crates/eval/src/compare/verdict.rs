@@ -28,6 +28,10 @@ pub(super) struct Verdict {
     pub energy: EnergyQuality,
     /// True if it skipped at least one frame.
     pub skips: bool,
+    /// The frames of all rounds that its node did not process: without them it had less work.
+    pub dropped: u64,
+    /// The same of the first policy.
+    pub dropped_by_first: u64,
     /// The verdict as a sentence.
     pub sentence: String,
 }
@@ -59,10 +63,38 @@ fn verdict(
         kwh_a_year: kwh_a_year(comparison, variant),
         energy: summary.energy,
         skips: policy.mean(Figure::SkipRate).is_none_or(|mean| mean.mean > 0.0),
+        dropped: dropped(comparison, variant),
+        dropped_by_first: dropped(comparison, 0),
         sentence: String::new(),
     };
     verdict.sentence = sentence(comparison, summary, first, policy, variant, &verdict);
+    if verdict.dropped + verdict.dropped_by_first > 0 {
+        verdict.sentence.push_str(&unequal(comparison, &verdict));
+    }
     verdict
+}
+
+/// The frames of a variant that its node did not process, over all rounds.
+fn dropped(comparison: &Comparison, variant: usize) -> u64 {
+    let runs = comparison.runs.iter().filter(|run| run.variant == variant);
+    runs.map(|run| run.report.dropped.total()).sum()
+}
+
+/// Says that frames were dropped, what that means for the comparison, and how none is.
+fn unequal(comparison: &Comparison, verdict: &Verdict) -> String {
+    let rounds = comparison.runs.iter().filter(|run| run.variant == 0).count() as u64;
+    let slower = match comparison.playing.played_rate {
+        Some(rate) => short(rate / comparison.playing.rate / 2.0),
+        None => "0.5".to_owned(),
+    };
+    format!(
+        " Not equal work: of {} frames each, {} of its own and {} of {} were dropped. A dropped frame costs no detector \
+         call and is not judged. Play it so that none is: --unpaced, or --speed {slower} or less.",
+        comparison.playing.frames * rounds,
+        verdict.dropped,
+        verdict.dropped_by_first,
+        comparison.policies.first().map_or("", String::as_str),
+    )
 }
 
 fn sentence(
@@ -211,6 +243,23 @@ mod tests {
         let lines = sentences(&comparison(&policies, runs.collect()));
         let said = "no clear difference in detector calls to vanilla in 3 rounds";
         assert!(lines[0].contains(said), "{lines:?}");
+    }
+
+    #[test]
+    fn dropped_frames_are_counted_in_the_verdict_with_what_they_mean_and_the_way_out() {
+        let policies = ["vanilla", "albireo u=5e-4"];
+        let mut dropping = comparison(&policies, rounds([80.0, 60.0], 40).collect());
+        assert!(!sentences(&dropping)[0].contains("dropped"));
+        for run in &mut dropping.runs {
+            if run.variant == 0 {
+                run.report.dropped.overrun = 4;
+            }
+        }
+        dropping.runs[1].report.dropped.overrun = 1;
+        let said = "Not equal work: of 300 frames each, 1 of its own and 12 of vanilla were dropped. A dropped frame costs \
+                    no detector call and is not judged. Play it so that none is: --unpaced, or --speed 0.5 or less.";
+        let lines = sentences(&dropping);
+        assert!(lines[0].ends_with(said), "{lines:?}");
     }
 
     #[test]
