@@ -37,6 +37,7 @@ pub mod replay;
 mod router;
 #[cfg(feature = "simulate")]
 mod simulate;
+mod terminal;
 mod values;
 mod variables;
 
@@ -199,7 +200,8 @@ pub fn run() -> ! {
     panics::end_quietly_at_a_closed_pipe();
     variables::start_with(command.variables());
     let code = command.run().unwrap_or_else(|error| {
-        logging::last_words(&format!("albireo: {}", in_words(&error)));
+        let said = format!("albireo: {}", in_words(&error));
+        logging::last_words(&terminal::error(&said));
         1
     });
     // A model may still be loading on a thread of ONNX Runtime, and the C library would tear that library down beside

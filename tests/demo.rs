@@ -1,6 +1,8 @@
 //! `albireo demo` with its hub, end to end.
 
-use crate::support::{Ended, albireo, assert_contains, collected, json_at, run, signal, until};
+use crate::support::{
+    Ended, albireo, assert_contains, collected, json_at, run, run_command, signal, until,
+};
 use serde_json::Value;
 use std::path::Path;
 use std::process::Stdio;
@@ -30,6 +32,8 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
             break url.trim_end_matches("/api/v1/clips").to_owned();
         }
     };
+    let fleet = lines.next_line().await.unwrap().unwrap();
+    let fleet = fleet.trim().strip_prefix("fleet ").unwrap().trim().to_owned();
     let page = format!("{hub}/api/v1/clips");
     let count = |page: &Value| page["clips"].as_array().map_or(0, Vec::len);
     until("clips arrive", async || count(&json_at(&page).await) >= 2).await;
@@ -43,6 +47,11 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
         node["status"]["cameras"][0]["name"] == "dashcam" && node["state"] != "offline"
     })
     .await;
+
+    // The program is not on the PATH.
+    let mut printed = std::process::Command::new("sh");
+    printed.args(["-c", &fleet]).env("PATH", "/usr/bin:/bin");
+    assert_contains(&run_command(&mut printed).succeeds(), &["demo"]);
 
     signal(demo.id().unwrap(), "-TERM");
     let said = collected(lines).await.unwrap();

@@ -2,10 +2,11 @@
 
 use super::block_on;
 use super::progress::spinner;
+use super::terminal::print;
 use super::values::counted;
 use albireo_node::config::NodeConfig;
 use albireo_node::online::try_all;
-use albireo_service::config::{ConfigError, examine};
+use albireo_service::config::{ConfigError, Finding, examine};
 use anyhow::bail;
 use std::path::PathBuf;
 #[cfg(feature = "hub")]
@@ -61,7 +62,7 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let file = arguments.file.display().to_string();
     // Also if something is missing: what else does not work is better known at once.
     let tried = match &config {
-        Some(config) if arguments.online => block_on(online(config)),
+        Some(config) if arguments.online => block_on(online(config, &findings)),
         _ => Ok(()),
     };
     let config = match config {
@@ -69,26 +70,30 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
         _ => return Err(ConfigError { file, findings }.into()),
     };
     tried?;
-    println!(
+    print(&format!(
         "{file} can be used: node `{}`, {}",
         config.node.name,
         counted(config.cameras.len() as u64, "camera", "cameras"),
-    );
+    ));
     if let [reads, notes @ ..] = detector.as_slice() {
-        println!("the detector {}: {reads}", config.detector.model.display());
+        // The trial has said the same.
+        if !arguments.online {
+            let model = config.detector.model.display();
+            print(&format!("the detector {model}: {reads}"));
+        }
         for note in notes {
-            println!("note: detector.model: {note}");
+            print(&format!("note: detector.model: {note}"));
         }
     }
     if !arguments.file_only {
         for finding in config.in_the_way() {
-            println!("note: {finding} (by a running node?)");
+            print(&format!("note: {finding} (by a running node?)"));
         }
         for finding in config.exposed_here(Some(&arguments.file)) {
-            println!("note: {finding}");
+            print(&format!("note: {finding}"));
         }
         for fault in [config.certificate_fault(), config.position_fault()].iter().flatten() {
-            println!("note: {fault}");
+            print(&format!("note: {fault}"));
         }
     }
     Ok(())
@@ -109,34 +114,41 @@ fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
         bail!("--online tries what a node's file names; this is a hub's file");
     }
     let config: HubConfig = load(Some(&arguments.file))?;
-    println!(
+    print(&format!(
         "{} can be used: a hub for the nodes under `{}`, with the database {}",
         arguments.file.display(),
         config.hub.prefix,
         config.database.shown()
-    );
+    ));
     if !arguments.file_only {
         for finding in config.exposed_here(Some(&arguments.file)) {
-            println!("note: {finding}");
+            print(&format!("note: {finding}"));
         }
     }
     Ok(())
 }
 
-/// Prints a line for each resource that was tried.
-async fn online(config: &NodeConfig) -> anyhow::Result<()> {
+/// Prints a line for each resource that was tried. A reason that `findings` repeat is left to them.
+async fn online(config: &NodeConfig, findings: &[Finding]) -> anyhow::Result<()> {
     // This takes seconds for a large model or an unreachable camera, and minutes for TensorRT's first engine.
     let waiting = spinner("trying models, cameras and router".to_owned());
+    if waiting.is_hidden() {
+        eprintln!("{} …", waiting.message());
+    }
     let mut failed = 0;
     try_all(config, |key, outcome| {
         let line = match outcome {
             Ok(found) => format!("works  {key}: {found}"),
             Err(reason) => {
                 failed += 1;
-                format!("fails  {key}: {reason}")
+                let mut findings = findings.iter();
+                match findings.find(|finding| finding.reason == reason) {
+                    Some(finding) => format!("fails  {key}: see {} below", finding.key),
+                    None => format!("fails  {key}: {reason}"),
+                }
             }
         };
-        waiting.suspend(|| println!("{line}"));
+        waiting.suspend(|| print(&line));
     })
     .await;
     waiting.finish_and_clear();

@@ -1,6 +1,7 @@
 //! `albireo detect`: describes a detector, and runs it on pictures.
 
 use super::progress::spinner;
+use super::terminal::print;
 use super::values::{counted, parse_size};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -106,13 +107,12 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
         });
         println!("{facts}");
     } else {
-        println!("{}: {}", arguments.model.display(), network.signature());
-        println!(
-            "{}, runs on {}",
-            network.description(),
-            network.provider().as_str()
-        );
-        println!("{}", classes(&names, network.left_out()));
+        let signature = network.signature();
+        let description = network.description();
+        let provider = network.provider().as_str();
+        print(&format!("{}: {signature}", arguments.model.display()));
+        print(&format!("{description}, runs on {provider}"));
+        print(&classes(&names, network.left_out()));
     }
     for path in &arguments.pictures {
         for file in picture_files(path)? {
@@ -131,7 +131,7 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     }
     if !arguments.json {
         for found in network.preparation().inputs() {
-            println!("{found}");
+            print(&found.to_string());
         }
         if arguments.pictures.is_empty() && network.input().open.is_none() {
             print_waste(&network);
@@ -158,7 +158,7 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
 fn print_waste(network: &DetectorNetwork) {
     let usual = network.input().first_use(USUAL_PICTURE);
     if usual.is_wasteful() {
-        println!("{usual}");
+        print(&usual.to_string());
     }
 }
 

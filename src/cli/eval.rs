@@ -8,6 +8,7 @@ mod video;
 
 use self::settings::SettingsArguments;
 use super::progress;
+use super::terminal;
 use super::values::parse_rate;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, Profile};
@@ -239,16 +240,17 @@ fn keep(
 
 /// Prints the results.
 fn print(report: &Report, streams: &[StreamResults], arguments: &RunArguments) {
-    print!("{}", render(&report.policies));
+    let width = terminal::width();
+    print!("{}", render(&report.policies, width));
     println!();
     for sentence in conclusion(&report.policies) {
-        println!("{}", wrapped(&sentence, 100));
+        println!("{}", wrapped(&sentence, width));
     }
     // What the figures mean depends on these, and none can be seen in them.
     for (name, value) in &report.settings {
         let is_partial = name == "Frames judged" && value != ALL;
         if name.starts_with("Boxes on crowds") || name == "Frame rate" || is_partial {
-            println!("{}", wrapped(&format!("{name}: {value}."), 100));
+            println!("{}", wrapped(&format!("{name}: {value}."), width));
         }
     }
     for stream in streams {

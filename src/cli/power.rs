@@ -1,5 +1,6 @@
 //! `albireo power`: lists the power sources that work on this machine, with their rails and current watts.
 
+use super::terminal::{hanging, line_width};
 use albireo_power::{SourceSurvey, survey};
 use albireo_wire::EnergyQuality;
 use std::fmt::Write;
@@ -33,19 +34,22 @@ pub(super) fn run(arguments: &PowerArguments) -> anyhow::Result<()> {
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&found)?);
     } else {
-        print!("{}", table(&found));
+        print!("{}", table(&found, line_width()));
     }
     Ok(())
 }
 
-/// Formats the sources as a table, one line each, with the rails of a source that works below it.
-fn table(found: &[SourceSurvey]) -> String {
+/// The column in which the rails begin, and what is broken because it is longer than the line goes on.
+const RAILS: usize = 33;
+
+/// Formats the sources as a table, each with the rails of a source that works below it, in lines of `width` characters.
+fn table(found: &[SourceSurvey], width: usize) -> String {
     let mut text = String::new();
     let mut line = |cells: [&str; 4]| {
         let [source, usable, watts, what] = cells;
         let row = format!("{source:<13} {usable:<7} {watts:>9}  {what}");
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "{}", row.trim_end());
+        let _ = writeln!(text, "{}", hanging(row.trim_end(), width, RAILS));
     };
     line(["source", "usable", "watts", "rails, or why not"]);
     for source in found {
@@ -143,6 +147,14 @@ mod tests {
             why_not: Some("rapl: not on this machine: no counter".to_owned()),
             ..source("rapl")
         };
-        insta::assert_snapshot!(table(&[ina, parts, rapl]));
+        let sources = [ina, parts, rapl];
+        insta::assert_snapshot!(table(&sources, usize::MAX));
+        let narrow = table(&sources, 60);
+        assert!(
+            narrow.lines().all(|line| line.chars().count() <= 60),
+            "{narrow}"
+        );
+        let below = format!("\n{}counter\n", " ".repeat(RAILS));
+        assert!(narrow.contains(&below), "{narrow}");
     }
 }

@@ -1,24 +1,17 @@
 //! Formats text and tables for a terminal.
 
 use std::fmt::Write;
+use textwrap::{Options, WordSplitter};
 
-/// Breaks `text` at white space into lines of at most `width` columns; a longer word gets a line of its own.
+/// The width of text in a file, in characters.
+pub const WIDTH: usize = 100;
+
+/// Breaks `text` at spaces into lines of at most `width` columns; a longer word gets a line of its own.
 pub fn wrapped(text: &str, width: usize) -> String {
-    let mut lines = String::new();
-    let mut used = 0;
-    for word in text.split_whitespace() {
-        let length = word.chars().count();
-        if used > 0 && used + 1 + length > width {
-            lines.push('\n');
-            used = 0;
-        } else if used > 0 {
-            lines.push(' ');
-            used += 1;
-        }
-        lines.push_str(word);
-        used += length;
-    }
-    lines
+    let options = Options::new(width)
+        .break_words(false)
+        .word_splitter(WordSplitter::NoHyphenation);
+    textwrap::fill(text, options)
 }
 
 /// A number of things by their noun: `1 clip`, `200 clips`.
@@ -63,6 +56,32 @@ pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column>, gap: &str) ->
         push_line(&mut text, cells, gap);
     }
     text
+}
+
+/// Formats `columns` as [`table`] does, in lines of at most `width` characters: columns that do not fit are in further tables
+/// below, which begin with the first column, too. A column of p-values stays beside the one that it is about.
+pub(crate) fn fitted(columns: &[Column], gap: &str, width: usize) -> String {
+    let Some((first, others)) = columns.split_first() else {
+        return String::new();
+    };
+    let is_p = |column: &Column| column.heads.concat() == "p";
+    let gap_width = gap.chars().count();
+    let mut blocks = Vec::new();
+    let mut block = vec![first];
+    let mut used = first.width();
+    for group in others.chunk_by(|_, next| is_p(next)) {
+        let needed: usize = group.iter().map(|column| gap_width + column.width()).sum();
+        if block.len() > 1 && used + needed > width {
+            blocks.push(std::mem::replace(&mut block, vec![first]));
+            used = first.width();
+        }
+        block.extend(group);
+        used += needed;
+    }
+    blocks.push(block);
+    let tables: Vec<String> =
+        blocks.into_iter().map(|block| table(block.into_iter(), gap)).collect();
+    tables.join("\n")
 }
 
 /// Adds a line of cells, each with its width, to `text`, unless all are blank.
@@ -114,6 +133,26 @@ pub(crate) fn or_dash(cell: Option<String>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_that_is_too_wide_goes_on_below_and_p_stays_beside_its_figure() {
+        let column = |head: &str, cell: &str| Column::new([head, ""], vec![cell.to_owned()]);
+        let columns = [
+            column("policy", "albireo"),
+            column("AP@50", "+0.5 [0.1, 0.9]"),
+            column("p", "0.02"),
+            column("mAP", "+0.3 [-0.1, 0.7]"),
+            column("p", "0.2"),
+        ];
+        let whole = fitted(&columns, "  ", 60);
+        assert_eq!(whole, table(columns.iter(), "  "));
+        let expected = "policy             AP@50     p\n\
+                        albireo  +0.5 [0.1, 0.9]  0.02\n\
+                        \n\
+                        policy                mAP    p\n\
+                        albireo  +0.3 [-0.1, 0.7]  0.2\n";
+        assert_eq!(fitted(&columns, "  ", 40), expected);
+    }
 
     #[test]
     fn a_difference_that_rounds_to_zero_is_not_negative() {

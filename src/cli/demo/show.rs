@@ -1,5 +1,6 @@
 //! Prints the demonstration's output: addresses, a live line, a line for every clip, and a summary.
 
+use crate::cli::terminal::program;
 use crate::cli::values::counted;
 use albireo_node::config::NodeConfig;
 use albireo_node::state::board::{Board, Event, News};
@@ -86,7 +87,10 @@ impl Show {
         ));
         lines.push(format!("  fleet's page  http://{hub}/"));
         lines.push(format!("  hub      curl http://{hub}/api/v1/clips"));
-        lines.push(format!("  fleet    albireo fleet --hub http://{hub} ls"));
+        lines.push(format!(
+            "  fleet    {} fleet --hub http://{hub} ls",
+            program()
+        ));
         lines.push(LEGEND.to_owned());
         lines.join("\n")
     }

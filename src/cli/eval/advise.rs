@@ -2,6 +2,7 @@
 
 use super::video::{PassArguments, detect_all};
 use super::{JUDGED, WRITTEN};
+use crate::cli::terminal;
 use crate::cli::values::parse_rate;
 use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
@@ -92,7 +93,7 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&advice)?);
     } else {
-        print!("{}", render(&advice));
+        print!("{}", render(&advice, terminal::width()));
     }
     if advice.best().is_none() {
         bail!("no value meets {} on this recording", arguments.target);

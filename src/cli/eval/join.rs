@@ -1,6 +1,7 @@
 //! `albireo eval join`: joins measured runs into the paper's tables and figures.
 
-use albireo_eval::board::{SetupRuns, read, render, write};
+use crate::cli::terminal;
+use albireo_eval::board::{SetupRuns, files_of, read, render, write};
 use anyhow::ensure;
 use clap::Args;
 use std::path::PathBuf;
@@ -13,12 +14,12 @@ machine. Setups are never averaged together. With two setups of one machine the
 output says whether their savings multiply with those of skipping.
 
 Examples:
-  albireo eval join results/*.jsonl --out tables
+  albireo eval join results --out tables
       everything measured here, with join.html, CSV and SVG files
   albireo eval join results/thor/albireo/yolo26x/summary.csv
       the rows that the paper's authors published, as its main table has them")]
 pub(super) struct JoinArguments {
-    /// Files of `albireo eval board` (.jsonl), or summary.csv files of the paper's published results.
+    /// Files of `albireo eval board` (.jsonl) or folders of them, or summary.csv files of the paper's published results.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// Write join.html, join.txt, policies.csv, clips.csv, power.csv, settings.csv and the figures here.
@@ -32,7 +33,7 @@ pub(super) struct JoinArguments {
 /// When a file cannot be read, two files are of the same setup, or a file cannot be written.
 pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
     let mut setups: Vec<SetupRuns> = Vec::new();
-    for file in &arguments.files {
+    for file in &files_of(&arguments.files)? {
         let found = read(file)?;
         ensure!(
             setups.iter().all(|other| other.setup != found.setup),
@@ -42,12 +43,12 @@ pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
         );
         setups.push(found);
     }
-    let text = render(&setups);
+    let text = render(&setups, terminal::WIDTH);
     // Before it is printed: whoever reads the output may close it, which ends the program.
     if let Some(folder) = &arguments.out {
         write(folder, &setups, &text)?;
     }
-    print!("{text}");
+    print!("{}", render(&setups, terminal::width()));
     if let Some(folder) = &arguments.out {
         eprintln!("Written to {}", folder.display());
     }

@@ -2,6 +2,7 @@
 
 use super::{LOOKED, RunArguments, keep, listed, policies, print, settings, streams_asked};
 use crate::cli::progress;
+use crate::cli::terminal;
 use crate::cli::values::counted;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::data::{GroundTruth, Rules, StepTimes, TruthFormat, vanilla_as_truth};
@@ -380,11 +381,11 @@ impl Evaluation<'_> {
             clips: self.results,
         };
         keep(&report, &self.streams, &self.arguments)?;
-        println!("Judged {basis}");
+        terminal::print(&format!("Judged {basis}"));
         print(&report, &self.streams, &self.arguments);
         print_screens(&report.clips);
         for (name, value) in notes {
-            println!("{name}: {value}");
+            terminal::print(&format!("{name}: {value}"));
         }
         Ok(())
     }
@@ -544,10 +545,10 @@ fn print_screens(results: &[ClipResult]) {
             continue;
         }
         let share = 100.0 * missed as f64 / occupied.max(1) as f64;
-        println!(
+        terminal::print(&format!(
             "Screen under {}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
              ({missed} of the {occupied} frames in which the detector finds something)",
             clips[0].policy
-        );
+        ));
     }
 }

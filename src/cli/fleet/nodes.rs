@@ -1,8 +1,9 @@
 //! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
-use super::table::{cut, table, width};
+use super::table::{cut, table};
 use super::units::{self, ago, figure, joined, name_of, seconds, threshold, when};
 use super::{Context, Ended};
+use crate::cli::terminal::width;
 use crate::cli::values::counted;
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};

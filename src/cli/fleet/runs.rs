@@ -1,10 +1,11 @@
 //! Runs the commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
 
-use super::table::{cut, table, width};
+use super::table::{cut, table};
 use super::units::{
     counts, figure, finite, interval, joined, name_of, nodes, seconds, span, threshold, when,
 };
 use super::{Context, Ended};
+use crate::cli::terminal::{program, width};
 use albireo_hub::http::Runs;
 use albireo_hub::tuning::effect::Scale;
 use albireo_hub::tuning::metric::Figure;
@@ -250,7 +251,7 @@ async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result
             let line = format!("  without {}: {}", left_out.node, left_out.why);
             text += &(cut(&line, width()) + "\n");
         }
-        text + &format!("albireo fleet rollout show {id} --follow\n")
+        text + &format!("{} fleet rollout show {id} --follow\n", program())
     })
 }
 

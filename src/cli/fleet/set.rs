@@ -1,8 +1,9 @@
 //! Runs the commands `set-u`, `set-target`, `revisions` and `drift`.
 
-use super::table::{cut, table, width};
+use super::table::{cut, table};
 use super::units::{counts, name_of, seconds, setting, when};
 use super::{Context, Ended};
+use crate::cli::terminal::width;
 use albireo_hub::http::{OutcomeLine, Revision, Revisions};
 use albireo_hub::tuning::desired::NodeSetting;
 use albireo_hub::tuning::outcome::Outcome;

@@ -1,24 +1,9 @@
 //! Formats tables for a terminal.
 
-/// The longest line, where the terminal is not narrower.
-const WIDTH: usize = 100;
-
-/// The narrowest terminal that lines are cut for.
-const LEAST_WIDTH: usize = 60;
-
-/// The longest line that fits the terminal: cut, a row is read; wrapped, the rows are not.
-pub(super) fn width() -> usize {
-    let terminal = rustix::termios::tcgetwinsize(std::io::stdout()).ok();
-    let columns = terminal.map_or(WIDTH, |size| usize::from(size.ws_col));
-    if columns == 0 {
-        WIDTH
-    } else {
-        columns.clamp(LEAST_WIDTH, WIDTH)
-    }
-}
+use crate::cli::terminal::width;
 
 /// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as wide
-/// as its widest cell; the last one is cut if the line is too long.
+/// as its widest cell; the last one is cut if the line is too long: cut, a row is read; wrapped, the rows are not.
 pub(super) fn table<const N: usize>(
     headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
@@ -66,6 +51,7 @@ pub(super) fn cut(text: &str, width: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::terminal::WIDTH;
 
     #[test]
     fn a_table_is_aligned_and_never_wider_than_a_hundred_columns() {

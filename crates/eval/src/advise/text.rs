@@ -4,12 +4,9 @@ use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
 use super::target::Target;
 use crate::settings::ScreenRule;
-use crate::text::{Column, counted, or_dash, table, wrapped};
+use crate::text::{Column, counted, fitted, or_dash, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
-
-/// Width of the text in characters.
-const WIDTH: usize = 100;
 
 /// Below this share of frames the advice says that nothing is skipped.
 const NEGLIGIBLE_SKIP_RATE: f64 = 0.005;
@@ -19,22 +16,24 @@ const FEW_CLIPS: usize = 3;
 
 // Writing to a string cannot fail, so the results are dropped throughout.
 
-/// Formats the advice, 100 columns wide.
-pub fn render(advice: &Advice) -> String {
+/// Formats the advice, at most `width` characters wide.
+pub fn render(advice: &Advice, width: usize) -> String {
     let mut text = String::new();
-    let _ = writeln!(
-        text,
+    let recording = format!(
         "Recording: {}, {} frames, {} boxes of the detector at confidence {} or more.",
         counted(advice.clips, "clip"),
         advice.frames,
         advice.boxes,
         advice.confidence
     );
-    let _ = writeln!(
-        text,
-        "Target: {}, with a precision of at least {}.\n",
+    let target = format!(
+        "Target: {}, with a precision of at least {}.",
         advice.target, advice.least_precision
     );
+    for sentence in [recording, target] {
+        let _ = writeln!(text, "{}", wrapped(&sentence, width));
+    }
+    text.push('\n');
     let cells = |cell: &dyn Fn(&Proposal) -> String| advice.proposals.iter().map(cell).collect();
     let policies = advice.proposals.iter().enumerate().map(|(index, proposal)| {
         let sign = if !proposal.meets_target {
@@ -63,7 +62,7 @@ pub fn render(advice: &Advice) -> String {
         Column::new(["recall", ""], cells(&|found| share(found.recall))),
         Column::new(["precision", ""], cells(&|found| share(found.precision))),
     ];
-    text.push_str(&table(columns.iter(), "  "));
+    text.push_str(&fitted(&columns, "  ", width));
     if advice.proposals.iter().any(|found| !found.meets_target) {
         text.push_str(
             "-: cannot meet the target inside the threshold's range; the nearest end of it\n",
@@ -71,7 +70,7 @@ pub fn render(advice: &Advice) -> String {
     }
     text.push('\n');
     for sentence in sentences(advice) {
-        let _ = writeln!(text, "{}", wrapped(&sentence, WIDTH));
+        let _ = writeln!(text, "{}", wrapped(&sentence, width));
     }
     if let Some(best) = advice.best().filter(|best| skips(best)) {
         let _ = write!(text, "\nPut into node.toml:\n\n{}", best.node_toml);

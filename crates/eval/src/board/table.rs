@@ -5,12 +5,9 @@ use super::run::{FRAMES, JUDGED_BY, SetupRuns};
 use super::summary::{Changes, PolicyFigures, SetupSummary, summarise};
 use crate::spec::{short_label, split_label};
 use crate::summary::Difference;
-use crate::text::{self, Column, counted, one_decimal, or_dash, signed, three_decimals, wrapped};
+use crate::text::{Column, counted, fitted, one_decimal, or_dash, signed, three_decimals, wrapped};
 use albireo_core::policy::FrameState;
 use std::collections::BTreeMap;
-
-/// Maximum width of the text in characters.
-const WIDTH: usize = 100;
 
 /// A table with its title, for the terminal and the page.
 pub(super) struct JoinedTable {
@@ -19,22 +16,22 @@ pub(super) struct JoinedTable {
     pub notes: Vec<String>,
 }
 
-/// Formats all tables of the setups.
-pub fn render(setups: &[SetupRuns]) -> String {
+/// Formats all tables of the setups, at most `width` characters wide.
+pub fn render(setups: &[SetupRuns], width: usize) -> String {
     let summaries: Vec<SetupSummary> = setups.iter().map(summarise).collect();
     let mut rendered = String::new();
     for table in tables(setups, &summaries) {
         if !rendered.is_empty() {
             rendered.push('\n');
         }
-        rendered.push_str(&wrapped(&table.title, WIDTH));
+        rendered.push_str(&wrapped(&table.title, width));
         rendered.push('\n');
         let between = table.columns.len().saturating_sub(1);
-        let width = table.columns.iter().map(Column::width).sum::<usize>() + 2 * between;
-        let gap = if width > WIDTH { " " } else { "  " };
-        rendered.push_str(&text::table(table.columns.iter(), gap));
+        let wide = table.columns.iter().map(Column::width).sum::<usize>() + 2 * between;
+        let gap = if wide > width { " " } else { "  " };
+        rendered.push_str(&fitted(&table.columns, gap, width));
         for note in &table.notes {
-            rendered.push_str(&wrapped(note, WIDTH));
+            rendered.push_str(&wrapped(note, width));
             rendered.push('\n');
         }
     }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::spec::BASELINE;
+use crate::text::WIDTH;
 use albireo_wire::{BoardState, ClipReport, FrameStates};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -281,7 +282,7 @@ fn tables_without_rows_say_what_they_need() {
         setup: setup(),
         runs: vec![run("a", BASELINE, 10.0, 0.5)],
     };
-    let text = render(std::slice::from_ref(&alone));
+    let text = render(std::slice::from_ref(&alone), WIDTH);
     let missing = text.split_once("No rows").unwrap().1;
     for what in [
         "sweep:",
@@ -351,7 +352,7 @@ fn setups_that_differ_in_a_setting_are_not_compared_in_silence() {
         settings.insert("detector.confidence".to_owned(), confidence.to_owned());
         settings.insert("detector.model".to_owned(), detector.clone());
     }
-    let text = render(&setups);
+    let text = render(&setups, WIDTH);
     assert!(
         text.contains("also differ in detector.confidence (0.3, 0.5)."),
         "{text}"
@@ -360,7 +361,7 @@ fn setups_that_differ_in_a_setting_are_not_compared_in_silence() {
 
 #[test]
 fn each_table_of_the_paper_has_its_rows_in_order() {
-    let text = render(&three_setups());
+    let text = render(&three_setups(), WIDTH);
     for what in [
         "Sweep: yolo, fp16, MAXN, board",
         "Detectors and machines side by side",
@@ -422,7 +423,7 @@ fn published() -> Option<PathBuf> {
 #[ignore = "needs ../shared"]
 fn the_published_rows_give_the_papers_main_table() {
     let path = published().expect("ALBIREO_SHARED names the folder with the published rows");
-    let text = render(&[read(&path).unwrap()]);
+    let text = render(&[read(&path).unwrap()], WIDTH);
     // AP@50, energy, time, EDP (the paper has 31023, the product of its rounded means), skip rate and states.
     let row = |name: &str| -> Vec<String> {
         let line = text.lines().find(|line| line.starts_with(name)).unwrap();
@@ -478,5 +479,25 @@ fn the_published_rows_give_the_papers_main_table() {
     assert_eq!(
         fs::read_to_string(folder.path().join("clips.csv")).unwrap().lines().count(),
         401
+    );
+}
+
+#[test]
+fn a_folder_stands_for_its_files_of_runs_and_one_without_says_what_is_expected() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().to_owned();
+    let error = files_of(std::slice::from_ref(&place)).unwrap_err().to_string();
+    let expected = format!(
+        "{}: this is a folder, and it has no .jsonl file; give files",
+        place.display()
+    );
+    assert!(error.starts_with(&expected), "{error}");
+    let [one, other] = ["b.jsonl", "a.jsonl"].map(|name| place.join(name));
+    for file in [&one, &other, &place.join("a.jsonl.before")] {
+        fs::write(file, "").unwrap();
+    }
+    assert_eq!(
+        files_of(&[place, one.clone()]).unwrap(),
+        [other, one.clone(), one]
     );
 }

@@ -1,18 +1,15 @@
-//! Formats a comparison as text, at most 100 columns wide.
+//! Formats a comparison as text.
 
 use super::run::{Comparison, TruthSize};
 use super::schedule::schedule;
 use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use super::verdict::verdicts;
-use crate::text::{self, Column, or_dash, wrapped};
+use crate::text::{Column, fitted, or_dash, wrapped};
 use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use std::fmt::Write;
 
 /// The longest label; a longer one is cut.
 const MAX_LABEL: usize = 24;
-
-/// The longest line of text.
-const MAX_LINE: usize = 100;
 
 /// A column of one figure: its name, its unit, and a note below them.
 #[derive(Clone, Copy)]
@@ -38,11 +35,21 @@ impl FigureColumn {
     }
 }
 
-/// Formats the comparison: the clip, the quality of the energy, three tables, and the verdicts.
-pub fn render(comparison: &Comparison, summary: &Summary) -> String {
-    let mut text = String::new();
+/// Text of lines with at most `width` characters.
+struct Text {
+    text: String,
+    width: usize,
+}
+
+/// Formats the comparison, at most `width` characters wide: the clip, the quality of the energy, three tables, and the
+/// verdicts.
+pub fn render(comparison: &Comparison, summary: &Summary, width: usize) -> String {
+    let mut text = Text {
+        text: String::new(),
+        width,
+    };
     for paragraph in [heading(comparison, summary), energy(summary)] {
-        wrap(&mut text, &paragraph);
+        text.paragraph(&paragraph);
     }
     let rounds = summary.rounds;
     let interval = if rounds > 1 {
@@ -72,7 +79,7 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         let scale = if is_share(figure) { 100.0 } else { 1.0 };
         policy.mean(figure).map(|found| mean(found, scale))
     };
-    table(&mut text, &interval, &summary.policies, &columns, means);
+    text.table(&interval, &summary.policies, &columns, means);
 
     let first = summary.policies.first().map_or("", |first| &first.policy);
     let title = format!("Change against {first}: mean of the differences within a round");
@@ -86,7 +93,7 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         })
         .collect();
     let others = summary.policies.get(1..).unwrap_or_default();
-    table(&mut text, &title, others, &changed, changes);
+    text.table(&title, others, &changed, changes);
 
     let of = comparison.policies.get(comparison.boxes_of);
     let title = format!(
@@ -100,7 +107,7 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         FigureColumn::new(Figure::SkipRate, "skip rate", "%"),
         FigureColumn::new(Figure::Dropped, "frames dropped", ""),
     ];
-    table(&mut text, &title, &summary.policies, &columns, means);
+    text.table(&title, &summary.policies, &columns, means);
     if let Some(truth) = comparison.playing.truth {
         let columns = [
             FigureColumn::new(Figure::TruthAp50, "AP@50", "%"),
@@ -108,14 +115,12 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
             FigureColumn::new(Figure::TruthRecall, "recall", "%"),
         ];
         let title = truth_heading(truth);
-        table(&mut text, &title, &summary.policies, &columns, means);
+        text.table(&title, &summary.policies, &columns, means);
     }
     for verdict in verdicts(comparison, summary) {
-        wrap(&mut text, &verdict.sentence);
+        text.paragraph(&verdict.sentence);
     }
-    text.truncate(text.trim_end().len());
-    text.push('\n');
-    text
+    text.text.trim_end().to_owned() + "\n"
 }
 
 fn heading(comparison: &Comparison, summary: &Summary) -> String {
@@ -211,27 +216,36 @@ fn energy(summary: &Summary) -> String {
     text
 }
 
-fn table(
-    text: &mut String,
-    title: &str,
-    policies: &[VariantSummary],
-    columns: &[FigureColumn],
-    cell: impl Fn(&VariantSummary, Figure) -> Option<String>,
-) {
-    if policies.is_empty() {
-        return;
+impl Text {
+    /// Adds a wrapped paragraph and an empty line.
+    fn paragraph(&mut self, paragraph: &str) {
+        self.text.push_str(&wrapped(paragraph, self.width));
+        self.text.push_str("\n\n");
     }
-    let names = policies.iter().map(|policy| cut(&policy.policy)).collect();
-    let mut table = vec![Column::new(["policy", ""], names)];
-    table.extend(columns.iter().map(|column| {
-        let cells = policies.iter().map(|policy| or_dash(cell(policy, column.figure)));
-        let head = format!("{} {}", column.name, column.unit);
-        Column::new([head.trim_end(), column.note], cells.collect())
-    }));
-    wrap(text, title);
-    text.pop();
-    text.push_str(&text::table(table.iter(), "  "));
-    text.push('\n');
+
+    /// Adds a table with its title, a line for each policy, and an empty line.
+    fn table(
+        &mut self,
+        title: &str,
+        policies: &[VariantSummary],
+        columns: &[FigureColumn],
+        cell: impl Fn(&VariantSummary, Figure) -> Option<String>,
+    ) {
+        if policies.is_empty() {
+            return;
+        }
+        let names = policies.iter().map(|policy| cut(&policy.policy)).collect();
+        let mut table = vec![Column::new(["policy", ""], names)];
+        table.extend(columns.iter().map(|column| {
+            let cells = policies.iter().map(|policy| or_dash(cell(policy, column.figure)));
+            let head = format!("{} {}", column.name, column.unit);
+            Column::new([head.trim_end(), column.note], cells.collect())
+        }));
+        self.text.push_str(&wrapped(title, self.width));
+        self.text.push('\n');
+        self.text.push_str(&fitted(&table, "  ", self.width));
+        self.text.push('\n');
+    }
 }
 
 /// Cuts a label so that it leaves room for the columns.
@@ -295,12 +309,6 @@ fn exact(value: f64) -> String {
         let decimals = decimals(value) + 1;
         format!("{value:.decimals$}")
     }
-}
-
-/// Adds a wrapped paragraph and an empty line.
-fn wrap(text: &mut String, paragraph: &str) {
-    text.push_str(&wrapped(paragraph, MAX_LINE));
-    text.push_str("\n\n");
 }
 
 #[cfg(test)]

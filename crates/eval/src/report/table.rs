@@ -4,39 +4,38 @@ use crate::result::Provenance;
 use crate::spec::{BASELINE, short_label};
 use crate::summary::{Difference, NEWCOMERS, PolicySummary, Pooled};
 use crate::text::{
-    self, Column, counted, one_decimal, or_dash, three_decimals, two_decimals, wrapped,
+    Column, counted, fitted, one_decimal, or_dash, three_decimals, two_decimals, wrapped,
 };
 use albireo_core::policy::FrameState;
 
-/// Maximum width of the table in characters.
-pub(crate) const WIDTH: usize = 100;
-
-/// Formats the tables of a run: the figures with one line per policy, and those below them.
-pub fn render(summaries: &[PolicySummary]) -> String {
-    let mut text = figures(summaries);
+/// Formats the tables of a run, at most `width` characters wide: the figures with one line per policy, and those below them.
+pub fn render(summaries: &[PolicySummary], width: usize) -> String {
+    let mut text = figures(summaries, width);
     for (title, columns) in below(summaries) {
         text.push('\n');
-        text.push_str(&wrapped(&title, WIDTH));
+        text.push_str(&wrapped(&title, width));
         text.push('\n');
-        text.push_str(&text::table(columns.iter(), "  "));
+        text.push_str(&fitted(&columns, "  ", width));
     }
     text
 }
 
-/// Formats the table of the figures. Columns that do not fit are left out, and a note names them.
-fn figures(summaries: &[PolicySummary]) -> String {
+/// Formats the table of the figures. Columns with a rank that do not fit are left out, and a note names them; others that
+/// do not fit follow below.
+fn figures(summaries: &[PolicySummary], width: usize) -> String {
     let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
-    let width = |ranked: &RankedColumn| ranked.column.width() + 1;
-    while columns.iter().map(width).sum::<usize>() > WIDTH + 1 {
-        // Of equal ranks the last; the names of the policies stay.
-        let last = (1..columns.len()).max_by_key(|&index| (columns[index].rank, index));
-        let Some(index) = last else {
+    let with_gap = |ranked: &RankedColumn| ranked.column.width() + 1;
+    while columns.iter().map(with_gap).sum::<usize>() > width + 1 {
+        // Of equal ranks the last.
+        let ranked = (1..columns.len()).filter(|&index| columns[index].rank > 0);
+        let Some(index) = ranked.max_by_key(|&index| (columns[index].rank, index)) else {
             break;
         };
         left_out.push(columns.remove(index).column.heads.join(" "));
     }
-    let mut text = text::table(columns.iter().map(|ranked| &ranked.column), " ");
+    let columns: Vec<Column> = columns.into_iter().map(|ranked| ranked.column).collect();
+    let mut text = fitted(&columns, " ", width);
     let mut notes = notes(summaries);
     if !left_out.is_empty() {
         let names: Vec<_> = left_out.iter().map(|name| name.trim()).collect();
@@ -46,7 +45,7 @@ fn figures(summaries: &[PolicySummary]) -> String {
         ));
     }
     for note in notes {
-        text.push_str(&wrapped(&note, WIDTH));
+        text.push_str(&wrapped(&note, width));
         text.push('\n');
     }
     text

@@ -185,7 +185,8 @@ impl DetectorNetwork {
         self.doubt.as_deref()
     }
 
-    /// The head and the input, with what a picture of 16:9 leaves empty of it, in one line.
+    /// The head and the input, with what a picture of 16:9 leaves empty of it, in one line. Where that is so much that
+    /// [`InputUse`](super::InputUse) has a word for it, it is left to that.
     pub fn description(&self) -> String {
         let InputFormat {
             size,
@@ -201,7 +202,7 @@ impl DetectorNetwork {
                 usual.smallest.size,
                 percent(usual.smallest.padding)
             ),
-            None if usual.largest.padding > 0.0 => {
+            None if usual.largest.padding > 0.0 && !usual.is_wasteful() => {
                 format!(
                     ", for 16:9 with {} of padding",
                     percent(usual.largest.padding)

@@ -3,6 +3,7 @@
 use super::*;
 use crate::advise::render;
 use crate::judge::average_precision::tests::{scored, square};
+use crate::text::WIDTH;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Albireo;
 
@@ -54,7 +55,7 @@ fn advice(policy: &str, target: &str) -> Advice {
 #[test]
 fn a_recall_is_met_by_its_lower_bound_in_a_text_that_fits_and_a_stricter_one_saves_no_more() {
     let advice = advice("expected-loss", "recall=0.8");
-    let text = render(&advice);
+    let text = render(&advice, WIDTH);
     let fits = |line: &str| line.chars().count() <= 100;
     assert!(text.lines().all(fits), "{text}");
     let policy = "[policy]\nname = ";
@@ -107,7 +108,7 @@ fn a_recorded_screen_is_tried_as_well_as_none() {
 fn an_unreachable_target_is_reported_without_a_proposal() {
     let advice = advice("albireo", "skip_rate=0.999");
     assert_eq!(advice.best(), None);
-    let text = render(&advice);
+    let text = render(&advice, WIDTH);
     assert!(text.contains("No value meets the target"), "{text}");
     assert!(!text.contains("node.toml"), "{text}");
 }
@@ -176,7 +177,7 @@ fn a_value_must_also_have_the_precision_and_few_clips_are_called_few() {
     assert!(strict.best().is_none_or(|best| best.precision.unwrap().low > found.low));
     assert_ne!(strict.best(), loose.best());
     let never = advice(0.9999);
-    let text = render(&never);
+    let text = render(&never, WIDTH);
     for part in [
         "--precision",
         "precision of at least 0.9999",

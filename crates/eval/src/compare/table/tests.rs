@@ -1,6 +1,7 @@
 use super::super::summary::tests::{comparison, rounds};
 use super::super::{Agreement, summarise};
 use super::*;
+use crate::text::WIDTH;
 use albireo_wire::EnergyQuality;
 
 fn played(quality: EnergyQuality) -> Comparison {
@@ -18,7 +19,7 @@ fn played(quality: EnergyQuality) -> Comparison {
 }
 
 fn text(comparison: &Comparison) -> String {
-    render(comparison, &summarise(comparison))
+    render(comparison, &summarise(comparison), WIDTH)
 }
 
 #[test]
@@ -102,7 +103,7 @@ fn a_single_round_has_no_intervals() {
 }
 
 #[test]
-fn no_line_is_wider_than_a_hundred_columns() {
+fn no_line_is_wider_than_the_terminal_and_no_column_is_lost() {
     let mut comparison = played(EnergyQuality::Measured);
     comparison.policies = vec![
         "fixed-skip-in-tracker n=3".to_owned(),
@@ -113,7 +114,14 @@ fn no_line_is_wider_than_a_hundred_columns() {
         run.report.energy.joules = run.report.energy.joules.map(|joules| joules * 12_345.6);
         run.report.energy.edp = run.report.energy.edp.map(|product| product * 12_345.6);
     }
-    for line in text(&comparison).lines() {
-        assert!(line.chars().count() <= 100, "{line}");
+    let summary = summarise(&comparison);
+    for width in [80, WIDTH] {
+        let found = render(&comparison, &summary, width);
+        for line in found.lines() {
+            assert!(line.chars().count() <= width, "{line}");
+        }
+        for column in ["EDP J·ms/frame", "detector calls", "frames dropped"] {
+            assert!(found.contains(column), "{found}");
+        }
     }
 }
