@@ -121,7 +121,7 @@ async fn refusal(frames: u32, more: &str) -> String {
 async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
     let error = refusal(1, &format!("--connect {endpoint} --wait-for-subscriber=1")).await;
-    let nobody = "no node took frames on `albireo/node/front/frame`";
+    let nobody = "no node takes frames on `albireo/node/front/frame`";
     assert_contains(&error, &[nobody]);
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
     let fast = format!("--connect {endpoint} --rate max");

@@ -2,13 +2,16 @@
 
 use crate::support::detectors::model;
 use crate::support::{
-    Node, PATIENCE, albireo, development, free_port, signal, text_at, until, until_ready, value_of,
+    Node, PATIENCE, albireo, assert_contains, development, free_port, grey_jpeg, listening_peer,
+    signal, text_at, until, until_ready, value_of,
 };
 use rstest::rstest;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 
 /// Starts a node at a known address, whose standard error goes to `log`.
@@ -129,6 +132,43 @@ async fn a_closed_terminal_stops_a_node_as_sigterm_does_unless_it_was_started_wi
     text_at(&format!("{http}/healthz")).await;
     let status = stop(&mut child, "-TERM", Duration::from_secs(30)).await;
     assert!(status.success(), "{status}");
+}
+
+/// A folder with a picture.
+fn picture() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.jpg"), grey_jpeg(32, [32, 32])).unwrap();
+    folder
+}
+
+#[rstest]
+#[case::for_a_session(false, &["replay", "PICTURES", "--wait-for-subscriber=3600", "--connect"])]
+#[case::for_a_subscriber(true, &["replay", "PICTURES", "--wait-for-subscriber=3600", "--connect"])]
+#[case::for_a_hub(false, &["simulate", "--nodes", "1", "--sessions", "1", "--connect"])]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_that_waits_says_for_what_and_ends_at_the_first_signal(
+    #[case] is_somebody_there: bool,
+    #[case] arguments: &[&str],
+) {
+    let folder = picture();
+    let pictures = folder.path().to_str().unwrap();
+    let peer = if is_somebody_there {
+        Some(listening_peer().await)
+    } else {
+        None
+    };
+    let endpoint = match &peer {
+        Some((_session, endpoint)) => endpoint.clone(),
+        None => format!("tcp/127.0.0.1:{}", free_port()),
+    };
+    let mut command = albireo();
+    command.args(arguments.iter().map(|argument| argument.replace("PICTURES", pictures)));
+    let mut child = command.arg(&endpoint).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let first = tokio::time::timeout(PATIENCE, lines.next_line()).await;
+    let first = first.expect("it says so at once").unwrap().unwrap();
+    assert_contains(&first, &[&endpoint, "Ctrl-C ends the wait"]);
+    stop(&mut child, "-INT", PATIENCE).await;
 }
 
 #[rstest]

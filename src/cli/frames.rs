@@ -3,7 +3,9 @@
 mod sender;
 mod session;
 
+pub(crate) use sender::TURN;
 pub use sender::{FrameSender, OutgoingFrame, Pacing};
+use session::DEFAULT_ENDPOINT;
 pub(crate) use session::close;
 pub use session::open_session;
 
@@ -47,6 +49,14 @@ impl FrameTarget {
         }
         let node = NodeKeys::new(&self.prefix, &self.node)?;
         Ok(node.camera(&self.camera)?.frame())
+    }
+
+    /// The endpoints of the session.
+    pub(crate) fn endpoints(&self) -> String {
+        if self.connect.is_empty() && self.listen.is_empty() {
+            return DEFAULT_ENDPOINT.to_owned();
+        }
+        [&*self.connect, &self.listen].concat().join(", ")
     }
 }
 

@@ -5,14 +5,15 @@ mod publish;
 pub(super) use publish::UNPACED;
 pub use publish::{PublishOptions, Sent, publish};
 
-use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, close, open_session};
+use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, TURN, close, open_session};
 use super::progress;
+use super::terminal::{self, program};
 use super::values::counted;
 use albireo_eval::footage::{SourceName, VideoEncoding};
 use anyhow::bail;
 use clap::Args;
 use indicatif::HumanBytes;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
@@ -74,6 +75,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let source = arguments.source.open(options.paced_rate(), arguments.encoding)?;
     let connecting = connect(&arguments, &key);
     let Some(connected) = shutdown.run_until_cancelled(connecting).await else {
+        eprintln!("albireo: stopped before a node was found: no frame was sent");
         return Ok(Sent::default());
     };
     let (session, sender) = connected?;
@@ -104,7 +106,46 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
 /// Opens a session and, if requested, waits until a node takes frames.
 async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Session, FrameSender)> {
     let target = &arguments.target;
-    let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
+    let Some(seconds) = arguments.wait_for_subscriber else {
+        let place = format!("for an answer from {}", target.endpoints());
+        let opening = open(arguments, key, Duration::ZERO);
+        let (session, sender) = progress::waiting(&place, opening).await?;
+        // Subscribers are known a moment after the session is open.
+        if sender.wait_for_receiver(LISTENERS).await.is_err() {
+            let meanwhile = if arguments.every {
+                format!("the first frame waits, {}", progress::at_most(TURN))
+            } else {
+                "frames are lost (--wait-for-subscriber waits for it)".to_owned()
+            };
+            let said =
+                format!("albireo: no node subscribes to `{key}` yet, so {meanwhile}: {NOBODY}");
+            eprintln!("{}", terminal::error(&said));
+        }
+        return Ok((session, sender));
+    };
+    let patience = Duration::from_secs(seconds);
+    let subscribing = async {
+        let begun = Instant::now();
+        let (session, sender) = open(arguments, key, patience).await?;
+        sender.wait_for_receiver(patience.saturating_sub(begun.elapsed())).await?;
+        anyhow::Ok((session, sender))
+    };
+    let what = format!(
+        "{}, for a node at {} that subscribes to `{key}` (start it with `{} node`)",
+        progress::at_most(patience),
+        target.endpoints(),
+        program()
+    );
+    progress::waiting(&what, subscribing).await
+}
+
+/// Opens a session within `patience`, and a sender on it.
+async fn open(
+    arguments: &ReplayArguments,
+    key: &str,
+    patience: Duration,
+) -> anyhow::Result<(Session, FrameSender)> {
+    let target = &arguments.target;
     let session = open_session(&target.connect, &target.listen, patience).await?;
     let pacing = if arguments.every {
         Pacing::WaitForNode
@@ -112,13 +153,6 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
         Pacing::Drop
     };
     let sender = FrameSender::declare(&session, key, pacing).await?;
-    if arguments.wait_for_subscriber.is_some() {
-        sender.wait_for_receiver(patience).await?;
-    }
-    // Subscribers are known a moment after the session is open.
-    if sender.wait_for_receiver(LISTENERS).await.is_err() {
-        eprintln!("albireo: no node subscribes to `{key}` yet, so frames are lost: {NOBODY}");
-    }
     Ok((session, sender))
 }
 

@@ -46,6 +46,10 @@ pub async fn run(
     options.check().map_err(SimulateError)?;
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
+    progress(format!(
+        "waiting for the hub or router at {}, however long it takes (sessions: {}); Ctrl-C ends the wait",
+        options.connect, options.sessions
+    ));
     let opening = Instant::now();
     let sessions = open_sessions(&options, &shutdown).await?;
     let opened_s = opening.elapsed().as_secs_f64();

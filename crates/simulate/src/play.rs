@@ -85,7 +85,11 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
     ] {
         config.insert_json5(key, &value.to_string()).map_err(SimulateError::at(key))?;
     }
-    zenoh::open(config).await.map_err(SimulateError::at(format!("session {index}")))
+    let place = format!("session {index}");
+    // Zenoh waits for the router without an end, and blocks its thread meanwhile.
+    let opening = tokio::task::spawn_blocking(|| zenoh::open(config).wait());
+    let opened = opening.await.map_err(SimulateError::at(&place))?;
+    opened.map_err(SimulateError::at(&place))
 }
 
 /// Simulates one node.

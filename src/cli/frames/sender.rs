@@ -16,7 +16,7 @@ use zenoh::query::Querier;
 use zenoh::session::Session;
 
 /// The longest time until a node accepts a frame. A node whose detector hangs accepts the next one long before.
-const TURN: Duration = Duration::from_secs(120);
+pub(crate) const TURN: Duration = Duration::from_secs(120);
 
 /// The time between two attempts to send a frame to a node that did not accept it.
 const RETRY: Duration = Duration::from_millis(50);
@@ -128,21 +128,20 @@ impl FrameSender {
         let taken = receivers.wait_for(|taken| *taken == Some(true));
         tokio::time::timeout(patience, taken)
             .await
-            .with_context(|| self.nobody(patience))?
+            .with_context(|| self.nobody())?
             .context("the Zenoh session is closed")?;
         Ok(())
     }
 
-    /// The error if no node has taken frames for that time.
-    fn nobody(&self, waited: Duration) -> String {
+    /// The error if no node takes frames.
+    fn nobody(&self) -> String {
         let question = match &self.mode {
             SendMode::Put(_) => "is it configured for this camera",
             SendMode::Ask(_) => "has its camera delivery = \"every\"",
         };
         format!(
-            "no node took frames on `{}` within {} s: is the node running, and {question}?",
-            self.key,
-            waited.as_secs()
+            "no node takes frames on `{}`: is the node running, and {question}?",
+            self.key
         )
     }
 
@@ -197,7 +196,7 @@ impl FrameSender {
             }
             std::thread::sleep(RETRY);
         }
-        bail!(self.nobody(TURN));
+        bail!("{} Waited for {} s.", self.nobody(), TURN.as_secs());
     }
 
     fn attachment(&self, frame: &OutgoingFrame) -> serde_json::Result<Vec<u8>> {

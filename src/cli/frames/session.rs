@@ -8,7 +8,7 @@ use zenoh::Config;
 use zenoh::session::Session;
 
 /// The endpoint on which a node listens by default.
-const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+pub(super) const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// The time that a put may wait for room before Zenoh closes the connection, microseconds. Zenoh's default of 5 s is
 /// too short for a receiver that slows its sender down.
@@ -16,7 +16,8 @@ const BLOCKED_MICROSECONDS: u64 = 120_000_000;
 const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
 /// Opens a session that connects only to the given endpoints: as a client of `connect` (of `tcp/127.0.0.1:7447` if both
-/// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`.
+/// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`; drop the future to give
+/// up.
 ///
 /// # Errors
 /// When an endpoint is malformed, or cannot be reached or listened on.
@@ -46,9 +47,8 @@ pub async fn open_session(
     ];
     session::set(&mut config, &settings)
         .map_err(|error| anyhow!("Zenoh does not accept {error}"))?;
-    zenoh::open(config).await.map_err(|error| {
+    session::attempt(config).await.map_err(|error| {
         let endpoints = [&connect, listen].concat().join(", ");
-        let error = session::plain(&error);
         if let Some(error) = session::not_listening("--listen", &error) {
             return anyhow!(error);
         }
