@@ -8,6 +8,7 @@ mod load;
 mod log;
 mod secrets;
 mod tokens;
+mod unreadable;
 mod uplink;
 mod zenoh;
 

@@ -1,7 +1,7 @@
 //! Reads a configuration from its file and the environment.
 
 use super::environment::{Environment, PREFIX};
-use super::{ConfigError, Finding};
+use super::{ConfigError, Finding, unreadable};
 use figment::Figment;
 use figment::error::{Actual, Kind, OneOf};
 use figment::providers::{Format, Serialized, Toml};
@@ -45,9 +45,18 @@ pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
 
 /// Like [`load`], but returns what could be read, with defaults for the rest, together with all errors.
 pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding>) {
-    match file.map(std::fs::read_to_string).transpose() {
-        Ok(text) => examine_text(text.as_deref().unwrap_or_default()),
-        Err(error) => (None, vec![Finding::new("", error.to_string())]),
+    let Some(file) = file else {
+        return examine_text("");
+    };
+    match std::fs::read_to_string(file) {
+        Ok(text) => examine_text(&text),
+        Err(error) => (
+            None,
+            vec![Finding::new(
+                "",
+                unreadable::reason(file, &error, C::SECTIONS),
+            )],
+        ),
     }
 }
 
@@ -207,7 +216,7 @@ fn put_beside(values: &mut Value, path: &[String], name: &str, value: Value) {
 }
 
 /// The known name that an unknown one is a typing error of.
-fn meant<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+pub(super) fn meant<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     let mistakes = |known: &&str| strsim::osa_distance(name, known);
     let nearest = known.iter().copied().min_by_key(mistakes)?;
     (mistakes(&nearest) <= 2).then_some(nearest)
