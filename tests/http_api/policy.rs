@@ -34,7 +34,7 @@ async fn one_put_switches_the_policy_and_every_route_tells_it() {
     );
     assert_has(
         &node.json("/api/v1/cameras/front").await,
-        &json!({"policy": "expected-loss", "set_by": "configuration"}),
+        &json!({"policy": "expected-loss", "policy_set_by": "local", "set_by": "configuration"}),
     );
     let overview = node.json("/api/v1/node").await;
     assert_has(

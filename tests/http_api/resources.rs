@@ -302,7 +302,7 @@ async fn cameras_show_in_configuration_order_policy_threshold_detections_and_adv
     answered_all(node.front(), &[FrameState::P, FrameState::I]);
     let answer = node.json("/api/v1/cameras/front").await;
     let expected = json!({
-        "policy": "albireo", "threshold": {"value": 3e-4}, "frames": 2, "skip_rate": 0.5, "set_by": "configuration",
+        "policy": "albireo", "threshold": {"value": 3e-4}, "frames": 2, "skip_rate": 0.5, "set_by": "configuration", "policy_set_by": "configuration",
     });
     assert_has(&answer, &expected);
     // The published code measures noise in pixels, here of 320x240 pictures.

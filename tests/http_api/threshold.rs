@@ -151,6 +151,8 @@ async fn a_target_holds_until_null_or_a_manual_threshold_and_an_invalid_one_chan
         "threshold": {"name": "u", "value": 3e-4},
     });
     assert_has(&set, &expected);
+    let camera = node.json("/api/v1/cameras/front").await;
+    assert_eq!(camera["set_by"], "local", "who set the target moves it");
     let bad = r#"
 {"target": {"skip_rate": 1.0}}
 {"target": {"skip_rate": -0.6}}

@@ -55,7 +55,10 @@ pub(super) struct CameraEntry {
     u_as_published: Option<f64>,
     /// The policy that decides its frames.
     policy: &'static str,
-    /// Who set its threshold.
+    /// Who chose this policy: `local` where it was switched at the node.
+    policy_set_by: SettingSource,
+    /// Who set its threshold. While a target moves it, who set the target; after a switch of the policy it is the one that is
+    /// configured for the new policy.
     set_by: Option<SettingSource>,
     /// The name, range and default of the policy's threshold; absent if the policy has none.
     threshold_spec: Option<ThresholdSpec>,
@@ -88,10 +91,18 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         None
     };
     let threshold_spec = camera.threshold_spec();
-    let set_by = if threshold_spec.is_some() {
-        Some(camera.threshold_source())
-    } else {
+    let set_by = if threshold_spec.is_none() {
         None
+    } else if board.target.is_on() {
+        Some(board.target.report().source)
+    } else {
+        Some(camera.threshold_source())
+    };
+    let policy = board.policy().name;
+    let policy_set_by = if policy == board.configured_policy().name {
+        SettingSource::Configuration
+    } else {
+        SettingSource::Local
     };
     CameraEntry {
         states: states::of(camera, &snapshot),
@@ -110,7 +121,8 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
-        policy: board.policy().name,
+        policy,
+        policy_set_by,
         set_by,
         threshold_spec,
         advice: camera.advice(),
