@@ -1,7 +1,9 @@
 //! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
-use super::play::{Played, Player, choose_meter, clip, node_configuration, with_truth};
+use super::play::clip::{self, Loaded};
+use super::play::{Played, Player, choose_meter, node_configuration, with_truth};
 use super::progress;
+use super::terminal;
 use super::values::{above_zero, counted, not_negative, parse_rate};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::boxes::ScoredBox;
@@ -124,7 +126,15 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
     let loading = tokio::task::spawn_blocking(move || clip::load(source, arguments.seconds));
-    let (clip, size) = loading.await.context("reading the clip")??;
+    let loaded = loading.await.context("reading the clip")??;
+    if let Some(warning) = loaded.warning() {
+        eprintln!("{warning}");
+    }
+    let Loaded {
+        pictures: clip,
+        size,
+        ..
+    } = loaded;
     let frames = clip.frames().unwrap_or_default();
     let truth = own_truth(&arguments.clip, size, frames)?;
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
@@ -155,12 +165,12 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let played = play_all(&player, &variants, &scheduled, &shutdown).await?;
     let comparison = judge(&player, &variants, played, truth.as_ref())?;
     let summary = summarise(&comparison);
-    let text = render(&comparison, &summary);
+    let text = render(&comparison, &summary, terminal::WIDTH);
     // Before it is printed: whoever reads the output may close it, which ends the program.
     if let Some(folder) = &arguments.out {
         write(folder, &comparison, &summary, &text)?;
     }
-    print!("{text}");
+    print!("{}", render(&comparison, &summary, terminal::width()));
     if let Some(folder) = &arguments.out {
         eprintln!("Written to {}", folder.display());
     }

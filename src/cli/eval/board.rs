@@ -4,8 +4,10 @@ mod setup;
 
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
-use crate::cli::play::{Player, choose_meter, clip, node_configuration, with_truth};
+use crate::cli::play::clip::{self, Loaded};
+use crate::cli::play::{Player, choose_meter, node_configuration, with_truth};
 use crate::cli::progress;
+use crate::cli::terminal::program;
 use crate::cli::values::{counted, not_negative, parse_rate};
 use albireo_eval::board::{ClipRun, RunsFile, TRACED_CLIPS};
 use albireo_eval::data::classes::Evaluated;
@@ -145,6 +147,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         truth,
         alone: names.len() == 1,
         left_out: BTreeMap::new(),
+        unusable: Vec::new(),
         loaded: None,
     };
     let frames_to_play: u64 = scheduled.iter().map(|(clip, _)| clip.frames.unwrap_or(1)).sum();
@@ -161,7 +164,8 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         }
         let frames = clip.frames.unwrap_or(1);
         let steps = |sent: u64, _: &str| bar.set_position(done + sent.min(frames));
-        let played = measuring.play(clip, policy, &file, steps, &shutdown).await;
+        let tell = |line: &str| bar.suspend(|| eprintln!("{line}"));
+        let played = measuring.play(clip, policy, &file, steps, tell, &shutdown).await;
         if shutdown.is_cancelled() {
             bar.finish_and_clear();
             eprintln!(
@@ -180,9 +184,18 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
             counted(*boxes, "box", "boxes")
         );
     }
+    if let [(first, _), ..] = measuring.unusable.as_slice() {
+        let pictures: usize = measuring.unusable.iter().map(|(_, pictures)| pictures).sum();
+        eprintln!(
+            "not used: {} of {} (first: {first}), which count as frames without boxes",
+            counted(pictures as u64, "picture", "pictures"),
+            counted(measuring.unusable.len() as u64, "clip", "clips")
+        );
+    }
     eprintln!(
-        "Every run is in {0}; next: albireo eval join {0} --out tables",
-        file.path().display()
+        "Every run is in {0}; next: {1} eval join {0} --out tables",
+        file.path().display(),
+        program()
     );
     Ok(())
 }
@@ -320,14 +333,26 @@ fn measured_clips(
     Ok(clips)
 }
 
-/// Describes what the clip is, so that later runs can be held against it.
+/// Describes what the clip is, so that later runs can be held against it. The digest is of what boxes are judged by: neither the
+/// order of a frame's labels nor the numbers of the objects count, which differ between files of the same labels.
 fn content_of(clip: &Clip) -> String {
-    let judged_by = format!("{:?} {:?}", clip.truth, clip.ignored);
+    let mut digest = crc32fast::Hasher::new();
+    for frame in 0..clip.frames {
+        let objects = clip.truth.as_ref().and_then(|truth| truth.get(frame));
+        let objects = objects.into_iter().flatten();
+        let mut labels: Vec<String> = objects
+            .map(|object| format!("{:?} {:?}", object.corners, object.class))
+            .collect();
+        let marks = clip.ignored.get(frame).into_iter().flatten();
+        labels.extend(marks.map(|mark| format!("{mark:?}")));
+        labels.sort_unstable();
+        digest.update(format!("{frame} {}\n", labels.join(", ")).as_bytes());
+    }
     format!(
         "{} pictures of {}, ground truth {:08x}",
         clip.frames,
         clip.picture,
-        crc32fast::hash(judged_by.as_bytes())
+        digest.finalize()
     )
 }
 
@@ -358,6 +383,8 @@ struct Measuring<'a> {
     alone: bool,
     /// The number of boxes of each class that the ground truth does not have.
     left_out: BTreeMap<String, u64>,
+    /// The clips with pictures that cannot be decoded, and their number.
+    unusable: Vec<(String, usize)>,
     /// The clip that is in memory, and its ground truth: all its policies are played before the next.
     loaded: Option<(Player, Clip)>,
 }
@@ -370,6 +397,7 @@ impl Measuring<'_> {
         policy: &PolicySpec,
         file: &RunsFile,
         progress: impl Fn(u64, &str),
+        tell: impl Fn(&str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
         let loaded = match self.loaded.take() {
@@ -377,7 +405,7 @@ impl Measuring<'_> {
             before => {
                 // Only one clip is in memory.
                 drop(before);
-                self.load(of).await?
+                self.load(of, tell).await?
             }
         };
         let (player, clip) = &*self.loaded.insert(loaded);
@@ -407,7 +435,11 @@ impl Measuring<'_> {
     }
 
     /// Reads a clip into memory and makes its player.
-    async fn load(&mut self, of: &MeasuredClip) -> anyhow::Result<(Player, Clip)> {
+    async fn load(
+        &mut self,
+        of: &MeasuredClip,
+        tell: impl Fn(&str),
+    ) -> anyhow::Result<(Player, Clip)> {
         let arguments = self.arguments;
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
@@ -418,7 +450,12 @@ impl Measuring<'_> {
         };
         // A clip is in memory while its policies are played, and one report must cover it.
         let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_REPORT_S));
-        let (pictures, size) = loading.await.context("reading the clip")??;
+        let loaded = loading.await.context("reading the clip")??;
+        if let Some(warning) = loaded.warning() {
+            tell(&warning);
+            self.unusable.push((of.name.clone(), loaded.unusable.len()));
+        }
+        let Loaded { pictures, size, .. } = loaded;
         let frames = pictures.frames().unwrap_or_default();
         // What is left out was reported before the first run.
         let report = &mut LoadReport::default();
@@ -432,5 +469,44 @@ impl Measuring<'_> {
             cool_down: Duration::from_secs_f64(arguments.cool_down),
         };
         Ok((player, clip))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::detection::ClassId;
+    use albireo_core::geometry::{Corners, PictureSize};
+    use albireo_eval::boxes::ScoredBox;
+
+    #[test]
+    fn the_same_labels_have_one_digest_in_any_order_and_other_labels_have_another() {
+        let object = |x: f64, number: u64| ScoredBox {
+            corners: Corners {
+                x1: x,
+                y1: 0.0,
+                x2: x + 9.0,
+                y2: 9.0,
+            },
+            class: ClassId(2),
+            confidence: 1.0,
+            object: Some(number),
+        };
+        let content = |frames: [Vec<ScoredBox>; 2]| {
+            let mut clip = Clip::new("a".to_owned(), PictureSize::new(64, 48), 2);
+            clip.truth = Some(frames.into());
+            content_of(&clip)
+        };
+        let labels = content([vec![object(1.0, 0), object(5.0, 1)], vec![]]);
+        assert_eq!(
+            labels,
+            content([vec![object(5.0, 7), object(1.0, 3)], vec![]])
+        );
+        for other in [
+            [vec![object(1.0, 0), object(5.5, 1)], vec![]],
+            [vec![object(1.0, 0)], vec![object(5.0, 1)]],
+        ] {
+            assert_ne!(labels, content(other));
+        }
     }
 }
