@@ -3,8 +3,10 @@
 mod sender;
 mod session;
 
+#[cfg(feature = "eval")]
 pub(crate) use sender::TURN;
 pub use sender::{FrameSender, OutgoingFrame, Pacing};
+#[cfg(feature = "eval")]
 use session::DEFAULT_ENDPOINT;
 pub(crate) use session::close;
 pub use session::open_session;
@@ -52,6 +54,7 @@ impl FrameTarget {
     }
 
     /// The endpoints of the session.
+    #[cfg(feature = "eval")]
     pub(crate) fn endpoints(&self) -> String {
         if self.connect.is_empty() && self.listen.is_empty() {
             return DEFAULT_ENDPOINT.to_owned();

@@ -178,20 +178,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         done += frames;
     }
     bar.finish_and_clear();
-    for (class, boxes) in &measuring.left_out {
-        eprintln!(
-            "not judged: {} of the class `{class}`, which the ground truth does not have",
-            counted(*boxes, "box", "boxes")
-        );
-    }
-    if let [(first, _), ..] = measuring.unusable.as_slice() {
-        let pictures: usize = measuring.unusable.iter().map(|(_, pictures)| pictures).sum();
-        eprintln!(
-            "not used: {} of {} (first: {first}), which count as frames without boxes",
-            counted(pictures as u64, "picture", "pictures"),
-            counted(measuring.unusable.len() as u64, "clip", "clips")
-        );
-    }
+    measuring.print_left_out();
     eprintln!(
         "Every run is in {0}; next: {1} eval join {0} --out tables",
         file.path().display(),
@@ -390,6 +377,24 @@ struct Measuring<'a> {
 }
 
 impl Measuring<'_> {
+    /// Prints what was not judged or not used, at the end.
+    fn print_left_out(&self) {
+        for (class, boxes) in &self.left_out {
+            eprintln!(
+                "not judged: {} of the class `{class}`, which the ground truth does not have",
+                counted(*boxes, "box", "boxes")
+            );
+        }
+        if let [(first, _), ..] = self.unusable.as_slice() {
+            let pictures: usize = self.unusable.iter().map(|(_, pictures)| pictures).sum();
+            eprintln!(
+                "not used: {} of {} (first: {first}), which count as frames without boxes",
+                counted(pictures as u64, "picture", "pictures"),
+                counted(self.unusable.len() as u64, "clip", "clips")
+            );
+        }
+    }
+
     /// Plays a clip under a policy, unless it is another one than that of its runs in `file`.
     async fn play(
         &mut self,
