@@ -2094,6 +2094,8 @@ export interface components {
             passed_over: number;
             /** @description The policy that decides its frames. */
             policy: string;
+            /** @description Who chose this policy: `local` where it was switched at the node. */
+            policy_set_by: components["schemas"]["SettingSource"];
             /**
              * Format: double
              * @description Frames per second that come from it, over the last 10 s.
