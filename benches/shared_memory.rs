@@ -19,9 +19,10 @@ use bytes::Bytes;
 use std::collections::HashMap;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::unbounded_channel;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use zenoh::Wait;
 use zenoh::bytes::ZBytes;
+use zenoh::pubsub::Publisher;
 use zenoh::shm::{GarbageCollect, PosixShmProviderBackend, ShmProvider, ShmProviderBuilder};
 
 const SIZE: PictureSize = PictureSize::new(1920, 1080);
@@ -139,12 +140,21 @@ struct Turn {
     missing: u64,
 }
 
-#[expect(
-    clippy::too_many_lines,
-    reason = "one measurement, from the session to its figures, in the order of time"
-)]
-async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
-    let picture = &way.picture;
+/// The arrival of a frame's detections.
+struct Answer {
+    seq: u64,
+    arrived: Instant,
+}
+
+/// A session with the node, as a camera that listens to its answers.
+struct Line {
+    session: zenoh::Session,
+    frames: Publisher<'static>,
+    answers: UnboundedReceiver<Answer>,
+}
+
+/// Opens a session with the node, and waits until it subscribes to the frames.
+async fn connect(port: u16) -> Line {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"client\"".to_owned()),
@@ -160,25 +170,38 @@ async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
         config.insert_json5(key, &value).expect("Zenoh takes it");
     }
     let session = zenoh::open(config).await.expect("the node is there");
-    let (tell, mut arrived) = unbounded_channel();
-    let _detections = session
+    let (tell, answers) = unbounded_channel();
+    session
         .declare_subscriber("albireo/node/front/detections")
         .callback(move |sample| {
-            let now = Instant::now();
+            let arrived = Instant::now();
             if let Ok(message) = read::<DetectionsMessage>(&sample.payload().to_bytes()) {
-                let _ = tell.send((message.seq, now));
+                let seq = message.seq;
+                let _ = tell.send(Answer { seq, arrived });
             }
         })
+        .background()
         .await
         .expect("a subscriber");
-    let publisher = session
+    let frames = session
         .declare_publisher("albireo/node/front/frame")
         .await
         .expect("a publisher");
-    let matching = publisher.matching_listener().await.expect("a listener");
-    while !publisher.matching_status().await.expect("a status").matching() {
+    let matching = frames.matching_listener().await.expect("a listener");
+    while !frames.matching_status().await.expect("a status").matching() {
         matching.recv_async().await.expect("the node listens");
     }
+    Line {
+        session,
+        frames,
+        answers,
+    }
+}
+
+/// Sends the frames of a turn, of which the first has the sequence number `first`, and waits for their answers.
+async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
+    let picture = &way.picture;
+    let mut line = connect(port).await;
     let memory = way.uses_shared_memory.then(|| shared_memory(picture.bytes.len()));
     let mut copies = Vec::new();
     let mut sent = HashMap::new();
@@ -214,7 +237,7 @@ async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
             copies.push((placed - began).as_secs_f64() * 1e3);
             sent.insert(seq, Sent { began, placed });
         }
-        publisher
+        line.frames
             .put(payload)
             .encoding(encoding)
             .attachment(serde_json::to_vec(&attachment).expect("JSON"))
@@ -223,17 +246,17 @@ async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
     }
     let mut latencies = Vec::new();
     let mut whole_latencies = Vec::new();
-    while let Ok(Some((seq, answered))) =
-        tokio::time::timeout(Duration::from_secs(1), arrived.recv()).await
+    while let Ok(Some(Answer { seq, arrived })) =
+        tokio::time::timeout(Duration::from_secs(1), line.answers.recv()).await
     {
         if let Some(frame) = sent.remove(&seq) {
-            latencies.push((answered - frame.placed).as_secs_f64() * 1e3);
-            whole_latencies.push((answered - frame.began).as_secs_f64() * 1e3);
+            latencies.push((arrived - frame.placed).as_secs_f64() * 1e3);
+            whole_latencies.push((arrived - frame.began).as_secs_f64() * 1e3);
         }
     }
     let node_time = processor_time(&pid) - node_began;
     let sender_time = processor_time("self") - sender_began;
-    session.close().await.expect("the session is closed");
+    line.session.close().await.expect("the session is closed");
     for times in [&mut copies, &mut latencies, &mut whole_latencies] {
         times.sort_by(f64::total_cmp);
     }

@@ -97,14 +97,16 @@ struct Part {
     clip: Option<String>,
 }
 
+struct ReadPicture {
+    picture: EncodedPicture,
+    part: Part,
+    /// When it was recorded, if that is known.
+    time_ns: Option<u64>,
+}
+
 /// What was read of a source.
 enum ReadItem {
-    Picture {
-        part: Part,
-        picture: EncodedPicture,
-        /// When it was recorded, if that is known.
-        time_ns: Option<u64>,
-    },
+    Picture(ReadPicture),
     /// One of several files that cannot be used, and why.
     LeftOut(String),
 }
@@ -126,11 +128,11 @@ fn read_ahead(
                 Ok(Some(picture)) => {
                     is_empty = false;
                     let clip = source.clip().map(str::to_owned);
-                    ReadItem::Picture {
-                        part: Part { pass, clip },
+                    ReadItem::Picture(ReadPicture {
                         picture,
+                        part: Part { pass, clip },
                         time_ns: source.time_ns(),
-                    }
+                    })
                 }
                 // The other files follow.
                 Err(fault) if source.picture_name().is_some() => {
@@ -165,6 +167,24 @@ fn start_reading(
         }
     });
     prepared
+}
+
+/// Returns the next picture, or `None` at the end of the source. What is left out before it is said, and counted in
+/// `left_out`.
+async fn next_picture(
+    prepared: &mut mpsc::Receiver<anyhow::Result<ReadItem>>,
+    left_out: &mut u64,
+) -> anyhow::Result<Option<ReadPicture>> {
+    while let Some(read) = prepared.recv().await {
+        match read? {
+            ReadItem::Picture(picture) => return Ok(Some(picture)),
+            ReadItem::LeftOut(fault) => {
+                eprintln!("albireo: left out: {fault}");
+                *left_out += 1;
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// Names clips.
@@ -305,21 +325,9 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         let next = tokio::select! {
             biased;
             () = shutdown.cancelled() => break,
-            next = prepared.recv() => next,
+            next = next_picture(&mut prepared, &mut sent.left_out) => next?,
         };
-        let Some(next) = next else { break };
-        let (part, picture, time_ns) = match next? {
-            ReadItem::Picture {
-                part,
-                picture,
-                time_ns,
-            } => (part, picture, time_ns),
-            ReadItem::LeftOut(fault) => {
-                eprintln!("albireo: left out: {fault}");
-                sent.left_out += 1;
-                continue;
-            }
-        };
+        let Some(read) = next else { break };
         let begun = *begun.get_or_insert_with(|| {
             pace.due = Instant::now();
             Begun {
@@ -333,14 +341,14 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             () = pace.wait() => {}
         }
         let seconds = sent.frames as f64 / rate;
-        let bytes = picture.bytes.len() as u64;
+        let bytes = read.picture.bytes.len() as u64;
         let seq = options.first_sequence + sent.frames;
         let expected_ns = begun.unix_ns.saturating_add((seconds * 1e9) as u64);
-        let t_ns = time_ns.unwrap_or(expected_ns);
-        let clip = clips.next(part, seconds);
+        let t_ns = read.time_ns.unwrap_or(expected_ns);
+        let clip = clips.next(read.part, seconds);
         let frame = OutgoingFrame {
-            attachment: attachment(seq, t_ns, clip, &picture),
-            picture,
+            attachment: attachment(seq, t_ns, clip, &read.picture),
+            picture: read.picture,
         };
         let refused = tokio::select! {
             biased;
