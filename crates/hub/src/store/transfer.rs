@@ -15,7 +15,7 @@ const BATCH: usize = 500;
 
 /// The progress of a transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Progress {
+pub struct MoveProgress {
     /// The table being copied.
     pub table: String,
     /// Rows copied so far, over all tables.
@@ -34,7 +34,7 @@ pub struct Progress {
 pub async fn to_postgres(
     from: &str,
     to: &DatabaseConfig,
-    progress: impl Fn(Progress) + Send + 'static,
+    progress: impl Fn(MoveProgress) + Send + 'static,
 ) -> Result<u64, StoreError> {
     if DatabaseKind::of(&to.url) != DatabaseKind::Postgres || !to.url.contains("://") {
         return Err(StoreError::Refused(format!(
@@ -77,7 +77,7 @@ fn copy(
     mut source: Sqlite,
     target: &mut dyn Database,
     shown: &str,
-    progress: &dyn Fn(Progress),
+    progress: &dyn Fn(MoveProgress),
 ) -> Result<u64, StoreError> {
     target.begin()?;
     let known = tables(target)?;
@@ -102,14 +102,14 @@ fn copy(
     }
     let mut rows = 0;
     for table in &moved {
-        let mut batch = Batch {
+        let mut batch = RowBatch {
             table,
             names: Vec::new(),
             rows: Vec::with_capacity(BATCH),
         };
-        let mut send = |batch: &mut Batch<'_>| {
+        let mut send = |batch: &mut RowBatch<'_>| {
             rows += batch.send(target)?;
-            progress(Progress {
+            progress(MoveProgress {
                 table: table.clone(),
                 rows,
                 total,
@@ -144,14 +144,14 @@ fn copy(
 }
 
 /// Rows that one statement inserts.
-struct Batch<'a> {
+struct RowBatch<'a> {
     table: &'a str,
     /// The names of the columns.
     names: Vec<String>,
     rows: Vec<Vec<Cell>>,
 }
 
-impl Batch<'_> {
+impl RowBatch<'_> {
     /// Inserts the rows, and empties the batch. Returns their number.
     fn send(&mut self, target: &mut dyn Database) -> Result<u64, StoreError> {
         let mut rows: Vec<Columns<'_>> = Vec::with_capacity(self.rows.len());
