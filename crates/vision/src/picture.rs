@@ -11,6 +11,8 @@ mod files;
 mod format;
 mod header;
 mod huffman;
+mod input_format;
+mod input_tensor;
 mod letterbox;
 mod limits;
 mod mount;
@@ -25,10 +27,11 @@ pub use fault::FrameFault;
 pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_file};
 pub use format::{BayerPattern, EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};
-pub use letterbox::{
-    ColorOrder, Fit, InputElement, InputFormat, InputMapping, InputTensor, Letterbox, TensorLayout,
-    ValueRange,
+pub use input_format::{
+    ColorOrder, Fit, InputElement, InputFormat, InputMapping, TensorLayout, ValueRange,
 };
+pub use input_tensor::InputTensor;
+pub use letterbox::Letterbox;
 pub use limits::{FrameLimits, check_payload, check_picture};
 pub use mount::{Flip, Mask, Mount, Mounted};
 pub use outline::{LineStyle, outline};

@@ -380,7 +380,7 @@ impl DetectorNetwork {
             return;
         };
         let format = self.preparation.format();
-        let (values, mapping) = format.cut(picture.tensor(), picture.source(), size);
+        let (values, mapping) = picture.tensor().cut(format, picture.source(), size);
         let least = Agreement::least_confidence(self.confidence);
         let reader = &mut self.reader;
         let boxes = self.heads.at(size).and_then(|head| {

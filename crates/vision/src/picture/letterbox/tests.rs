@@ -1,7 +1,9 @@
 //! Compares the letterbox with a slow reference, and its inverse with the letterbox.
 
 use super::super::PixelLayout;
+use super::super::input_format::{ColorOrder, Fit, InputElement, ValueRange};
 use super::*;
+use albireo_core::geometry::Corners;
 use proptest::prelude::*;
 
 const FITS: [Fit; 3] = [Fit::TopLeft, Fit::Centre, Fit::Stretch];
@@ -231,7 +233,7 @@ proptest! {
         let smallest = format.smallest_for(picture.size, 8, PictureSize::new(1, 1));
         let mut largest = Letterbox::new(format);
         largest.fill(&picture).unwrap();
-        let (cut, mapping) = format.cut(largest.tensor(), picture.size, smallest);
+        let (cut, mapping) = largest.tensor().cut(format, picture.size, smallest);
         let mut filled = Letterbox::of_size(format, smallest);
         prop_assert_eq!(filled.fill(&picture).unwrap(), mapping);
         prop_assert_eq!(filled.tensor(), &cut);
