@@ -32,8 +32,11 @@ fn clipped_corners(bounding_box: BoundingBox, size: PictureSize) -> Option<[f32;
     let y1 = corners.y1.clamp(0.0, height);
     let y2 = corners.y2.clamp(0.0, height);
     // NaN fails the comparison and is also left out.
-    let visible = x2 > x1 && y2 > y1;
-    visible.then(|| [x1, y1, x2, y2].map(|edge| ((edge * 100.0).round() / 100.0) as f32))
+    let is_visible = x2 > x1 && y2 > y1;
+    if !is_visible {
+        return None;
+    }
+    Some([x1, y1, x2, y2].map(|edge| ((edge * 100.0).round() / 100.0) as f32))
 }
 
 #[cfg(test)]

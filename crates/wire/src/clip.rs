@@ -248,14 +248,21 @@ impl ClipReport {
         six(&mut self.skip_rate);
         let energy = &mut self.energy;
         six(&mut energy.coverage);
-        energy.joules.iter_mut().for_each(six);
-        energy.node_joules.iter_mut().for_each(six);
-        energy.saved_joules_estimated.iter_mut().for_each(six);
-        energy.edp.iter_mut().for_each(six);
+        let known_energy = [
+            &mut energy.joules,
+            &mut energy.node_joules,
+            &mut energy.saved_joules_estimated,
+            &mut energy.edp,
+        ];
+        for figure in known_energy.into_iter().flatten() {
+            six(figure);
+        }
         for domain in &mut energy.domains {
             six(&mut domain.joules);
             four(&mut domain.mean_watts);
-            domain.peak_watts.iter_mut().for_each(four);
+            if let Some(watts) = &mut domain.peak_watts {
+                four(watts);
+            }
         }
         for latency in [&mut self.total_latency_ms, &mut self.detector_latency_ms] {
             four(&mut latency.mean);
@@ -263,12 +270,16 @@ impl ClipReport {
             four(&mut latency.p95);
             four(&mut latency.p99);
         }
-        if let Some(audit) = &mut self.audit {
-            audit.joules.iter_mut().for_each(four);
+        if let Some(audit) = &mut self.audit
+            && let Some(joules) = &mut audit.joules
+        {
+            four(joules);
         }
         if let Some(travel) = &mut self.travel {
             six(&mut travel.distance_m);
-            travel.fastest_m_s.iter_mut().for_each(four);
+            if let Some(fastest) = &mut travel.fastest_m_s {
+                four(fastest);
+            }
         }
     }
 }

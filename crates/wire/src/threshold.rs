@@ -39,7 +39,10 @@ impl Threshold {
         if self.name.as_str() == spec.name {
             Ok(self.value)
         } else {
-            Err(OtherThreshold(spec.name, self.name))
+            Err(OtherThreshold {
+                of_policy: spec.name,
+                given: self.name,
+            })
         }
     }
 }
@@ -53,8 +56,11 @@ impl fmt::Display for Threshold {
 
 /// The error for a threshold whose name is not the policy's.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the threshold of the policy in use is `{0}`, not `{1}`")]
-pub struct OtherThreshold(&'static str, ThresholdName);
+#[error("the threshold of the policy in use is `{of_policy}`, not `{given}`")]
+pub struct OtherThreshold {
+    of_policy: &'static str,
+    given: ThresholdName,
+}
 
 /// A change of the threshold during a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
