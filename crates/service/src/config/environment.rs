@@ -1,6 +1,6 @@
 //! Environment variables that override keys, each read by the type of its key: `4711` is a name for `node.name` and a number
-//! for `http.port`. The type is known only where the configuration is read, so a value begins as text, and whoever finds
-//! another type asks for another reading.
+//! for `http.port`. The type is known only where the configuration is read, so a value begins as text, and is read in another
+//! way where its key has another type.
 
 use figment::error::Kind;
 use figment::value::{Dict, Map, Value};
@@ -26,11 +26,13 @@ struct Variable {
 impl Variable {
     /// The first reading: text, unless it is written as a list, a table or a string of TOML.
     fn value(&self) -> Value {
-        let parsed = || self.text.parse::<Value>().unwrap_or_else(|never| match never {});
-        if self.text.starts_with(TOML) {
-            parsed()
-        } else {
-            Value::from(self.text.as_str())
+        if !self.text.starts_with(TOML) {
+            return Value::from(self.text.as_str());
+        }
+        // What is not TOML is read as text.
+        match self.text.parse::<Value>() {
+            Ok(value) => value,
+            Err(never) => match never {},
         }
     }
 }
@@ -41,14 +43,20 @@ pub(super) struct Environment(Vec<Variable>);
 impl Environment {
     /// Picks the variables that name a key, or the list of cameras.
     pub(super) fn of(variables: &[(String, String)]) -> Self {
-        let named = variables.iter().filter_map(|(name, text)| {
-            let name = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
-            let is_key = name.contains("__") || name == "camera";
-            let path = name.split("__").map(str::to_owned).collect();
-            let text = text.clone();
-            is_key.then_some(Variable { path, text })
-        });
-        Self(named.collect())
+        let mut named = Vec::new();
+        for (name, text) in variables {
+            let Some(own) = name.strip_prefix(PREFIX) else {
+                continue;
+            };
+            let key = own.to_ascii_lowercase();
+            if key.contains("__") || key == "camera" {
+                named.push(Variable {
+                    path: key.split("__").map(str::to_owned).collect(),
+                    text: text.clone(),
+                });
+            }
+        }
+        Self(named)
     }
 
     /// Another reading of the `value` at `path`, which was the wrong one: a list, a number, or true or false, if the value is
@@ -107,7 +115,9 @@ impl Provider for Environment {
 fn insert(table: &mut Dict, path: &[String], value: Value) {
     match path {
         [] => {}
-        [name] => drop(table.insert(name.clone(), value)),
+        [name] => {
+            table.insert(name.clone(), value);
+        }
         [name, rest @ ..] => {
             let inner = table.entry(name.clone()).or_insert_with(|| Value::from(Dict::new()));
             if !matches!(inner, Value::Dict(..)) {

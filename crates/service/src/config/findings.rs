@@ -71,7 +71,13 @@ impl Findings {
         key: impl Into<String>,
         checked: Result<T, impl Display>,
     ) -> Option<T> {
-        checked.map_err(|error| self.add(key, error.to_string())).ok()
+        match checked {
+            Ok(value) => Some(value),
+            Err(error) => {
+                self.add(key, error.to_string());
+                None
+            }
+        }
     }
 
     /// Requires a value above 0 and at most `high`.

@@ -1,10 +1,15 @@
 //! Reads a configuration from its file and the environment.
 
+mod reasons;
+#[cfg(test)]
+mod tests;
+
 use super::environment::{Environment, PREFIX};
 use super::{ConfigError, Finding, unreadable};
 use figment::Figment;
-use figment::error::{Actual, Kind, OneOf};
+use figment::error::Kind;
 use figment::providers::{Format, Serialized, Toml};
+use reasons::finding;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -98,8 +103,9 @@ fn examine_with<C: Configuration>(
     for finding in &mut findings {
         // An element of a list is from where the list is from.
         let (list, _) = finding.key.split_once('[').unwrap_or((&finding.key, ""));
-        let metadata = figment.find_metadata(list);
-        if metadata.is_some_and(|found| found.name.contains("environment")) {
+        if let Some(metadata) = figment.find_metadata(list)
+            && metadata.name.contains("environment")
+        {
             let name = list.to_ascii_uppercase().replace('.', "__");
             let source = format!(" (from environment variable {PREFIX}{name})");
             finding.reason.push_str(&source);
@@ -111,8 +117,10 @@ fn examine_with<C: Configuration>(
 
 /// True if the value at `inner` is the one at `key`, or a part of it.
 fn is_or_holds(key: &str, inner: &str) -> bool {
-    let rest = inner.strip_prefix(key);
-    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+    match inner.strip_prefix(key) {
+        Some(rest) => rest.is_empty() || rest.starts_with(['.', '[']),
+        None => false,
+    }
 }
 
 /// Reads the configuration. A variable of the environment that has another type than its key is read in another way. An
@@ -219,7 +227,10 @@ fn put_beside(values: &mut Value, path: &[String], name: &str, value: Value) {
 pub(super) fn meant<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     let mistakes = |known: &&str| strsim::osa_distance(name, known);
     let nearest = known.iter().copied().min_by_key(mistakes)?;
-    (mistakes(&nearest) <= 2).then_some(nearest)
+    if mistakes(&nearest) > 2 {
+        return None;
+    }
+    Some(nearest)
 }
 
 fn is_index(part: &str) -> bool {
@@ -267,392 +278,4 @@ fn misspelt_variables(sections: &[&str], variables: &[(String, String)]) -> Vec<
         }
     }
     misspelt
-}
-
-/// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
-/// `camera[1].ring` is `camera.ring`.
-fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
-    let mut key = String::new();
-    let mut without_numbers = String::new();
-    for part in path {
-        if is_index(part) {
-            key.push_str(&format!("[{part}]"));
-        } else {
-            let dot = if key.is_empty() { "" } else { "." };
-            key.push_str(&format!("{dot}{part}"));
-            without_numbers.push_str(&format!("{dot}{part}"));
-        }
-    }
-    let refused = match error {
-        Kind::UnknownField(..) => without_numbers,
-        Kind::UnknownVariant(value, _) => format!("{without_numbers} = {value}"),
-        _ => String::new(),
-    };
-    let mut all_removed = removed.lines().filter_map(|line| line.split_once(": "));
-    match all_removed.find(|(name, _)| *name == refused) {
-        Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
-        None if may_hold_a_secret(path) => Finding::new(key, reason(&without_value(error))),
-        None => Finding::new(key, reason(error)),
-    }
-}
-
-/// True for keys whose value is never quoted.
-fn may_hold_a_secret(path: &[String]) -> bool {
-    let keys = ["token", "source", "source_options", "url"];
-    let named = path.iter().rfind(|part| !is_index(part));
-    named.is_some_and(|named| keys.contains(&named.as_str()))
-}
-
-/// The error without the value that was found.
-fn without_value(error: &Kind) -> Kind {
-    let kind_of = |found: &Actual| {
-        let kind = match found {
-            Actual::Str(_) => "a string",
-            Actual::Seq => "a list",
-            Actual::Map => "a table",
-            _ => "such a value",
-        };
-        Actual::Other(kind.to_owned())
-    };
-    match error {
-        Kind::InvalidType(found, expected) => Kind::InvalidType(kind_of(found), expected.clone()),
-        Kind::InvalidValue(found, expected) => Kind::InvalidValue(kind_of(found), expected.clone()),
-        other => other.clone(),
-    }
-}
-
-/// An error of the file's form, which comes with a copy of the line: that may hold a password or a token, and is left out.
-fn without_line(message: &str) -> String {
-    let is_copy = |line: &&str| {
-        line.trim_start_matches(|c: char| c == ' ' || c.is_ascii_digit())
-            .starts_with('|')
-    };
-    let said: Vec<_> = message.lines().filter(|line| !is_copy(line)).collect();
-    match said.split_first() {
-        Some((place, reasons)) if !reasons.is_empty() => format!("{place}: {}", reasons.join("; ")),
-        _ => message.to_owned(),
-    }
-}
-
-/// A readable description of the expected value, if `expected` is the name of a type.
-fn in_words(expected: &str) -> &str {
-    match expected {
-        "f32" | "f64" => "a number",
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
-        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
-        "bool" => "true or false",
-        other => other,
-    }
-}
-
-/// What is wrong, in words.
-fn reason(kind: &Kind) -> String {
-    match kind {
-        Kind::UnknownField(name, known) => match meant(name, known) {
-            Some(meant) => format!("unknown key `{name}`; did you mean `{meant}`?"),
-            None => format!("unknown key `{name}`; known are {}", OneOf(known)),
-        },
-        Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
-        Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
-            format!("must be {}, not {found}", in_words(expected))
-        }
-        Kind::Message(message) => without_line(message),
-        other => other.to_string(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[derive(serde::Deserialize, Default)]
-    #[serde(deny_unknown_fields, default)]
-    struct Small {
-        http: SmallHttp,
-        camera: Vec<SmallCamera>,
-    }
-
-    #[derive(serde::Deserialize, Default)]
-    #[serde(deny_unknown_fields, default)]
-    struct SmallHttp {
-        timeout: f64,
-        port: u16,
-    }
-
-    #[derive(serde::Deserialize, Default)]
-    #[serde(deny_unknown_fields, default)]
-    struct SmallCamera {
-        name: String,
-        ring: usize,
-    }
-
-    impl Configuration for Small {
-        const SECTIONS: &'static [&'static str] = &["HTTP"];
-
-        fn findings(&self) -> Vec<Finding> {
-            let port = (self.http.port == 0).then(|| Finding::new("http.port", "must not be 0"));
-            let cameras = self.camera.iter().enumerate();
-            let wrong = cameras
-                .filter(|(_, camera)| matches!(&*camera.name, "" | "a b"))
-                .map(|(index, _)| format!("camera[{index}].name"))
-                .map(|key| Finding::new(key, "no such name"));
-            port.into_iter().chain(wrong).collect()
-        }
-    }
-
-    #[derive(serde::Deserialize, Default)]
-    #[serde(default)]
-    struct Secretive {
-        token: Vec<SecretiveToken>,
-    }
-
-    #[derive(serde::Deserialize, Default)]
-    #[serde(default)]
-    struct SecretiveToken {
-        token: String,
-    }
-
-    impl Configuration for Secretive {
-        const SECTIONS: &'static [&'static str] = &[];
-
-        fn findings(&self) -> Vec<Finding> {
-            let broken = self.token.iter().filter(|token| token.token.is_empty());
-            broken.map(|_| Finding::new("token", "is empty")).collect()
-        }
-    }
-
-    #[test]
-    fn all_errors_in_a_file_are_reported_at_once_in_plain_words() {
-        let text = "[http]\ntimeout = \"long\"\nloud = 1\nprot = 8080\n[[camera]]\nring = \"two\"\n\
-                    [[camera]]\nname = \"a b\"\nrung = 3\n";
-        let (_, findings) = examine_text::<Small>(text);
-        let mut reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
-        reported.sort();
-        let expected = [
-            "camera.a b.name: no such name",
-            "camera.a b.rung: unknown key `rung`; did you mean `ring`?",
-            "camera[0].name: no such name",
-            "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
-            "http.loud: unknown key `loud`; known are `timeout` or `port`",
-            "http.prot: unknown key `prot`; did you mean `port`?",
-            "http.timeout: must be a number, not string \"long\"",
-        ];
-        assert_eq!(reported, expected);
-    }
-
-    #[test]
-    fn a_typing_error_in_a_key_is_one_error() {
-        for (text, error) in [
-            (
-                "[http]\nport = 1\n[[camera]]\nnmae = \"front\"\n",
-                "camera[0].nmae: unknown key `nmae`; did you mean `name`?",
-            ),
-            (
-                "[htp]\nport = 1\n",
-                "htp: unknown key `htp`; did you mean `http`?",
-            ),
-            (
-                "[http]\nprt = 2\nport = 1\n",
-                "http.prt: unknown key `prt`; did you mean `port`?",
-            ),
-        ] {
-            let (_, findings) = examine_text::<Small>(text);
-            let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
-            assert_eq!(reported, [error], "{text}");
-        }
-    }
-
-    #[test]
-    fn no_error_quotes_a_line_or_value_that_may_be_a_secret() {
-        for (text, error) in [
-            (
-                "[http]\ntoken = [hidden\"\n",
-                "TOML parse error at line 2, column 10: invalid array; expected `]`",
-            ),
-            (
-                "token = \"hidden\"\n",
-                "token: must be a sequence, not a string",
-            ),
-            (
-                "[[token]]\ntoken = [\"hidden\"]\n",
-                "token[0].token: must be a string, not a list",
-            ),
-        ] {
-            let (_, findings) = examine_text::<Secretive>(text);
-            let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
-            assert_eq!(reported, [error], "{text}");
-        }
-    }
-
-    #[derive(serde::Deserialize, Debug, PartialEq)]
-    #[serde(rename_all = "lowercase")]
-    enum Mode {
-        Peer,
-        Client,
-    }
-
-    #[derive(serde::Deserialize, Debug, Default, PartialEq)]
-    #[serde(deny_unknown_fields, default)]
-    struct Typed {
-        node: TypedNode,
-    }
-
-    #[derive(serde::Deserialize, Debug, Default, PartialEq)]
-    #[serde(deny_unknown_fields, default)]
-    struct TypedNode {
-        name: String,
-        u: Option<f64>,
-        port: u16,
-        on: bool,
-        mode: Option<Mode>,
-        connect: Vec<String>,
-        sizes: Vec<u32>,
-        labels: std::collections::BTreeMap<String, String>,
-        folder: Option<std::path::PathBuf>,
-    }
-
-    impl Configuration for Typed {
-        const SECTIONS: &'static [&'static str] = &["NODE"];
-
-        fn findings(&self) -> Vec<Finding> {
-            Vec::new()
-        }
-    }
-
-    /// What is read from a file with these variables, which have the names of keys under `[node]`.
-    fn typed(text: &str, variables: &[(&str, &str)]) -> (TypedNode, Vec<String>) {
-        let variables = variables.iter().map(|(name, text)| {
-            let name = format!("{PREFIX}NODE__{}", name.to_ascii_uppercase());
-            (name, (*text).to_owned())
-        });
-        let variables: Vec<_> = variables.collect();
-        let home = Some(Path::new("/home/ann"));
-        let (config, findings) = examine_with::<Typed>(text, &variables, home);
-        let findings = findings.iter().map(ToString::to_string).collect();
-        (config.unwrap_or_default().node, findings)
-    }
-
-    #[test]
-    fn a_variable_is_read_by_the_type_of_its_key() {
-        let nothing = TypedNode::default;
-        let named = |name: &str| TypedNode {
-            name: name.to_owned(),
-            ..nothing()
-        };
-        let connect = |list: &[&str]| TypedNode {
-            connect: list.iter().map(|one| (*one).to_owned()).collect(),
-            ..nothing()
-        };
-        let u = |u| TypedNode {
-            u: Some(u),
-            ..nothing()
-        };
-        let sizes = |sizes: &[u32]| TypedNode {
-            sizes: sizes.to_vec(),
-            ..nothing()
-        };
-        let port = TypedNode {
-            port: 80,
-            ..nothing()
-        };
-        let on = TypedNode {
-            on: true,
-            ..nothing()
-        };
-        let mode = TypedNode {
-            mode: Some(Mode::Client),
-            ..nothing()
-        };
-        for (key, text, read) in [
-            ("name", "4711", named("4711")),
-            ("name", "0042", named("0042")),
-            ("name", "12.5", named("12.5")),
-            ("name", "5e-4", named("5e-4")),
-            ("name", "true", named("true")),
-            ("name", "[a]", named("[a]")),
-            ("name", "\"4711\"", named("4711")),
-            ("name", "", named("")),
-            ("u", "5e-4", u(5e-4)),
-            ("u", "5E-4", u(5e-4)),
-            ("u", "0.0005", u(5e-4)),
-            ("u", " 3 ", u(3.0)),
-            ("port", "80", port),
-            ("on", "true", on),
-            ("mode", "client", mode),
-            ("connect", "tcp/a:1", connect(&["tcp/a:1"])),
-            (
-                "connect",
-                "tcp/a:1, tcp/b:2",
-                connect(&["tcp/a:1", "tcp/b:2"]),
-            ),
-            ("connect", "[\"tcp/a:1\"]", connect(&["tcp/a:1"])),
-            ("connect", "4711,5e-4", connect(&["4711", "5e-4"])),
-            ("connect", "", connect(&[])),
-            ("sizes", "320", sizes(&[320])),
-            ("sizes", "320,640", sizes(&[320, 640])),
-            ("sizes", "[320, 640]", sizes(&[320, 640])),
-        ] {
-            assert_eq!(
-                typed("", &[(key, text)]),
-                (read, Vec::new()),
-                "{key}={text}"
-            );
-        }
-        let labels = [("labels__region", "7"), ("labels__line", "north")];
-        let (node, findings) = typed("[node.labels]\nline = \"south\"\ndepot = \"1\"\n", &labels);
-        let expected = [("depot", "1"), ("line", "north"), ("region", "7")];
-        let labels = node.labels.iter().map(|(name, value)| (name.as_str(), value.as_str()));
-        assert_eq!(
-            (labels.collect::<Vec<_>>(), findings),
-            (expected.to_vec(), Vec::new())
-        );
-    }
-
-    #[test]
-    fn a_variable_of_another_type_is_reported_with_its_name() {
-        let said = |key: &str, text: &str| typed("", &[(key, text)]).1.join("; ");
-        let from = |key: &str| format!(" (from environment variable ALBIREO_NODE__{key})");
-        for (key, text, error) in [
-            ("u", "low", "node.u: must be a number, not string \"low\""),
-            (
-                "port",
-                "-1",
-                "node.port: must be a whole number, 0 or more, not signed int `-1`",
-            ),
-            (
-                "mode",
-                "4711",
-                "node.mode: `4711` is not `peer` or `client`",
-            ),
-            (
-                "sizes",
-                "320,b",
-                "node.sizes[1]: must be a whole number, 0 or more, not string \"b\"",
-            ),
-        ] {
-            let shown = key.to_uppercase();
-            let reported = said(key, text);
-            assert!(reported.starts_with(error), "{reported}");
-            assert!(reported.contains(&from(&shown)), "{reported}");
-        }
-    }
-
-    #[test]
-    fn a_tilde_is_the_home_folder_in_a_file_and_in_a_variable() {
-        let state = Some(Path::new("/home/ann/state"));
-        let (node, _) = typed("[node]\nfolder = \"~/state\"\n", &[]);
-        assert_eq!(node.folder.as_deref(), state);
-        let (node, _) = typed("", &[("folder", "~/state"), ("connect", "~/a,~/b")]);
-        assert_eq!(node.folder.as_deref(), state);
-        assert_eq!(node.connect, ["/home/ann/a", "/home/ann/b"]);
-    }
-
-    #[test]
-    fn a_wrong_element_of_a_list_leaves_the_others_their_places() {
-        let (config, findings) = examine_text::<Small>("camera = [{}, 7, { name = \"a b\" }]\n");
-        let keys = findings.iter().map(|finding| finding.key.as_str());
-        let of_cameras: Vec<_> = keys.filter(|key| key.starts_with("camera")).collect();
-        assert_eq!(of_cameras, ["camera[1]"]);
-        assert!(config.unwrap().camera.is_empty());
-    }
 }

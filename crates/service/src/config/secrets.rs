@@ -17,15 +17,19 @@ fn mask(value: &mut Value) {
     match value {
         Value::Object(members) => {
             for (name, value) in members {
-                let secret = ["token", "password", "secret"].contains(&name.as_str());
-                if secret && value.is_string() {
+                let is_secret = ["token", "password", "secret"].contains(&name.as_str());
+                if is_secret && value.is_string() {
                     *value = MASK.into();
                 } else {
                     mask(value);
                 }
             }
         }
-        Value::Array(values) => values.iter_mut().for_each(mask),
+        Value::Array(values) => {
+            for value in values {
+                mask(value);
+            }
+        }
         _ => {}
     }
 }

@@ -83,8 +83,13 @@ impl ZenohConfig {
     /// The files of a kind, `certificate` or `private_key`, that the configuration file of Zenoh names. None if it cannot be
     /// read, which the session reports.
     pub fn tls_files(&self, kind: &str) -> Vec<(String, PathBuf)> {
-        let config = self.config_file.as_ref().map(::zenoh::Config::from_file).and_then(Result::ok);
-        config.map_or_else(Vec::new, |config| identity::tls_files(&config, kind))
+        let Some(file) = &self.config_file else {
+            return Vec::new();
+        };
+        match ::zenoh::Config::from_file(file) {
+            Ok(config) => identity::tls_files(&config, kind),
+            Err(_) => Vec::new(),
+        }
     }
 
     /// Adds the errors in the section.
