@@ -13,10 +13,10 @@ pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response
     let lines = logging::lines_after(0, usize::MAX).into_iter();
     let text: String = lines.map(|line| format!("{line}\n")).collect();
     let log = ("log.txt", text.into_bytes());
-    let file = format!("attachment; filename=\"{name}-{at_s}.tar\"");
+    let disposition = format!("attachment; filename=\"{name}-{at_s}.tar\"");
     let headers = [
         (CONTENT_TYPE, "application/x-tar".to_owned()),
-        (CONTENT_DISPOSITION, file),
+        (CONTENT_DISPOSITION, disposition),
     ];
     match pack(files.iter().chain([&log]), at_s) {
         Ok(archive) => (headers, archive).into_response(),

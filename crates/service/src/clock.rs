@@ -40,9 +40,11 @@ impl Uptime {
     /// The time of this machine.
     fn system() -> Self {
         static BOOT: OnceLock<u64> = OnceLock::new();
-        // Where the system does not tell, each process counts as a start of its own.
-        let boot =
-            BOOT.get_or_init(|| boot_id().unwrap_or_else(|| RandomState::new().hash_one("boot")));
+        let boot = BOOT.get_or_init(|| match boot_id() {
+            Some(id) => id,
+            // Where the system does not tell, each process counts as a start of its own.
+            None => RandomState::new().hash_one("boot"),
+        });
         let time = clock_gettime(ClockId::Boottime);
         Self {
             boot: *boot,
@@ -107,12 +109,15 @@ mod tests {
     #[test]
     fn ages_by_the_uptime_are_known_until_the_machine_is_started_again() {
         let now = Now::system().uptime;
-        assert!(now.since(now) == Some(0) && now.s > 0 && now.boot != 0);
+        assert_eq!(now.since(now), Some(0));
+        assert!(now.s > 0);
+        assert!(now.boot != 0);
         let earlier = Uptime {
             s: now.s - 1,
             ..now
         };
-        assert_eq!((now.since(earlier), earlier.since(now)), (Some(1), None));
+        assert_eq!(now.since(earlier), Some(1));
+        assert_eq!(earlier.since(now), None);
         let other = Uptime {
             boot: !now.boot,
             ..now

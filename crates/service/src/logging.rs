@@ -46,17 +46,18 @@ pub fn start(config: &LogConfig) -> Result<(), ServiceError> {
 
 /// Creates the subscriber for the level and format. The level was checked.
 fn subscriber(level: &str, format: LogFormat) -> impl Subscriber + Send + Sync {
-    let written = tracing_subscriber::fmt::layer().with_writer(writer::lines());
+    let lines = tracing_subscriber::fmt::layer().with_writer(writer::lines());
     let written = match format {
-        LogFormat::Human => written
+        LogFormat::Human => lines
             .with_ansi(std::io::stderr().is_terminal())
             .with_filter(filter(level))
             .boxed(),
-        LogFormat::Json => written.json().flatten_event(true).with_filter(filter(level)).boxed(),
+        LogFormat::Json => lines.json().flatten_event(true).with_filter(filter(level)).boxed(),
     };
+    let kept = filter(tail_level(level));
     tracing_subscriber::registry()
         .with(written)
-        .with(tail::layer().with_filter(filter(tail_level(level))))
+        .with(tail::layer().with_filter(kept))
 }
 
 /// The level of the kept lines: a level that is stricter than `info` becomes `info`, so that the page has useful lines

@@ -118,14 +118,14 @@ impl MetricsPage {
 
     fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
         let label = |(name, value): &(&str, &str)| {
-            let value = value.replace('\\', r"\\").replace('"', r#"\""#);
-            format!("{name}=\"{}\"", value.replace('\n', r"\n"))
+            let escaped = value.replace('\\', r"\\").replace('"', r#"\""#).replace('\n', r"\n");
+            format!("{name}=\"{escaped}\"")
         };
-        let labels: Vec<_> = labels.iter().map(label).collect();
-        let _ = if labels.is_empty() {
+        let written: Vec<_> = labels.iter().map(label).collect();
+        let _ = if written.is_empty() {
             writeln!(self.0, "{name} {value}")
         } else {
-            writeln!(self.0, "{name}{{{}}} {value}", labels.join(","))
+            writeln!(self.0, "{name}{{{}}} {value}", written.join(","))
         };
     }
 }

@@ -60,13 +60,18 @@ pub async fn run(
 
 /// Sends messages until their sender is gone.
 fn send_all(queue: &Receiver<String>) {
-    let mut failed = false;
+    let mut has_failed = false;
     for message in queue {
-        let sent = sd_notify::notify(&[NotifyState::Custom(&message)]);
-        if let (Err(error), false) = (&sent, failed) {
-            tracing::warn!(%error, "the service manager cannot be notified");
+        match sd_notify::notify(&[NotifyState::Custom(&message)]) {
+            Ok(()) => has_failed = false,
+            Err(error) => {
+                // The first of several failures in a row is logged.
+                if !has_failed {
+                    tracing::warn!(%error, "the service manager cannot be notified");
+                }
+                has_failed = true;
+            }
         }
-        failed = sent.is_err();
     }
 }
 
@@ -81,8 +86,8 @@ async fn watch_state(
     let mut ticks = interval(period.clamp(Duration::from_millis(1), CHECK_INTERVAL));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let begun = Instant::now();
-    let mut started = false;
-    let mut starving = false;
+    let mut has_started = false;
+    let mut was_stuck = false;
     loop {
         tokio::select! {
             biased;
@@ -93,19 +98,24 @@ async fn watch_state(
         let status = status(&health, stuck.as_deref());
         let mut messages = vec![NotifyState::Status(&status)];
         let is_ready = health.state != HealthState::NotReady;
-        let starts = !started && (is_ready || begun.elapsed() >= STARTED_AFTER);
+        let starts = !has_started && (is_ready || begun.elapsed() >= STARTED_AFTER);
         if starts {
             messages.push(NotifyState::Ready);
         }
         if watchdog.is_some() && stuck.is_none() {
             messages.push(NotifyState::Watchdog);
         }
-        if let (Some(reason), false) = (&stuck, starving) {
+        if let Some(reason) = &stuck
+            && !was_stuck
+        {
             tracing::error!(reason, "no longer feeding the watchdog");
         }
-        starving = stuck.is_some();
-        // What could not be sent is said again with the next message.
-        started |= send(&messages) && starts;
+        was_stuck = stuck.is_some();
+        let is_sent = send(&messages);
+        // A start that could not be sent is sent again with the next message.
+        if starts && is_sent {
+            has_started = true;
+        }
     }
     send(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
 }
@@ -152,7 +162,8 @@ mod tests {
             sent.iter().filter(|one| one.starts_with(message)).count()
         };
         tokio::time::sleep(Duration::from_millis(29_500)).await;
-        assert_eq!((count("READY=1"), count("WATCHDOG=1")), (0, 30));
+        assert_eq!(count("READY=1"), 0);
+        assert_eq!(count("WATCHDOG=1"), 30);
         assert!(count("STATUS=not ready: zenoh: no router") > 0);
         tokio::time::sleep(Duration::from_secs(1)).await;
         assert_eq!(count("READY=1"), 1);
@@ -164,6 +175,7 @@ mod tests {
         assert!(count("STATUS=stuck: the detector") > 0);
         state.lock().1 = None;
         tokio::time::sleep(Duration::from_secs(2)).await;
-        assert_eq!((count("READY=1"), count("WATCHDOG=1")), (1, fed + 2));
+        assert_eq!(count("READY=1"), 1);
+        assert_eq!(count("WATCHDOG=1"), fed + 2);
     }
 }

@@ -37,18 +37,22 @@ fn log(panic: &PanicHookInfo<'_>) {
     let place = panic.location().map(ToString::to_string);
     let current = std::thread::current();
     let thread = current.name().unwrap_or("unnamed");
-    let backtrace = Backtrace::capture();
-    let is_captured = backtrace.status() == BacktraceStatus::Captured;
-    let backtrace = is_captured.then(|| display(backtrace));
+    let captured = Backtrace::capture();
+    let backtrace = match captured.status() {
+        BacktraceStatus::Captured => Some(display(captured)),
+        _ => None,
+    };
     let text = message(panic.payload());
     tracing::error!(place, thread, backtrace, "panic: {text}");
 }
 
 /// The message of a panic.
 pub(crate) fn message(payload: &(dyn Any + Send)) -> &str {
-    payload
-        .downcast_ref::<&str>()
-        .copied()
-        .or_else(|| payload.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("no message")
+    if let Some(text) = payload.downcast_ref::<&str>() {
+        return text;
+    }
+    match payload.downcast_ref::<String>() {
+        Some(text) => text,
+        None => "no message",
+    }
 }

@@ -9,28 +9,48 @@ use tokio::time::Instant;
 #[derive(Debug)]
 pub struct RateLimit {
     period: Duration,
-    /// The time of the last line, and the number of those suppressed since.
-    last: Mutex<(Option<Instant>, u64)>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    /// The time of the last line.
+    last: Option<Instant>,
+    /// The number of those suppressed since.
+    held_back: u64,
 }
 
 impl RateLimit {
     /// Lets at most one line per `period` through.
     pub const fn new(period: Duration) -> Self {
-        let last = Mutex::new((None, 0));
-        Self { period, last }
+        let state = State {
+            last: None,
+            held_back: 0,
+        };
+        Self {
+            period,
+            state: Mutex::new(state),
+        }
     }
 
     /// Calls `log` at most once per period, with the number of calls suppressed since the last one. A line has no field for it
     /// if there were none: `tracing` leaves `None` out.
     pub fn log(&self, log: impl FnOnce(Option<NonZeroU64>)) {
-        let mut last = self.last.lock();
-        if last.0.is_some_and(|at| at.elapsed() < self.period) {
-            last.1 += 1;
+        let mut state = self.state.lock();
+        if let Some(last) = state.last
+            && last.elapsed() < self.period
+        {
+            state.held_back += 1;
             return;
         }
-        let (_, held_back) = std::mem::replace(&mut *last, (Some(Instant::now()), 0));
-        drop(last);
-        log(NonZeroU64::new(held_back));
+        let held_back = NonZeroU64::new(state.held_back);
+        *state = State {
+            last: Some(Instant::now()),
+            held_back: 0,
+        };
+        // `log` may take its time, or call this again.
+        drop(state);
+        log(held_back);
     }
 }
 

@@ -109,33 +109,29 @@ impl Health {
 
     /// What has changed since `before`, in words; `None` if nothing has.
     fn since(&self, before: &Self) -> Option<Change> {
-        let differs = |one: &&PartFault, others: &[PartFault]| {
-            let same = others
-                .iter()
-                .find(|other| (other.part, &other.subject) == (one.part, &one.subject));
-            same.is_none_or(|other| {
-                other.fault.effect != one.fault.effect || !other.fault.cause().eq(one.fault.cause())
-            })
+        let is_news = |one: &&PartFault| match before.of_same_part(one) {
+            Some(other) => {
+                let has_same_cause = other.fault.cause().eq(one.fault.cause());
+                other.fault.effect != one.fault.effect || !has_same_cause
+            }
+            None => true,
         };
-        let is_gone = |one: &&PartFault| {
-            let mut present = self.faults.iter();
-            !present.any(|other| (other.part, &other.subject) == (one.part, &one.subject))
-        };
-        let news: Vec<_> = self.faults.iter().filter(|one| differs(one, &before.faults)).collect();
+        let is_gone = |one: &&PartFault| self.of_same_part(one).is_none();
+        let news: Vec<_> = self.faults.iter().filter(is_news).collect();
         let gone: Vec<_> = before.faults.iter().filter(is_gone).map(PartFault::name).collect();
         if news.is_empty() && gone.is_empty() {
             return None;
         }
-        let mut words: Vec<_> =
+        let mut sentences: Vec<_> =
             news.iter().map(|one| format!("{}: {}", one.name(), one.fault.reason)).collect();
         if !gone.is_empty() {
-            words.push(format!("works again: {}", gone.join(", ")));
+            sentences.push(format!("works again: {}", gone.join(", ")));
         }
         let rest = self.faults.len() - news.len();
         if rest > 0 {
-            words.push(format!("as before: {rest} more, see /readyz"));
+            sentences.push(format!("as before: {rest} more, see /readyz"));
         }
-        let words = words.join("; ");
+        let words = sentences.join("; ");
         Some(match self.state() {
             HealthState::Ready => Change::Better("every part works".to_owned()),
             HealthState::Degraded if news.is_empty() => {
@@ -144,6 +140,13 @@ impl Health {
             HealthState::Degraded => Change::Worse(format!("degraded: {words}")),
             HealthState::NotReady => Change::Worse(format!("not ready: {words}")),
         })
+    }
+
+    /// The fault of the part and subject of another one.
+    fn of_same_part(&self, one: &PartFault) -> Option<&PartFault> {
+        self.faults
+            .iter()
+            .find(|other| other.part == one.part && other.subject == one.subject)
     }
 
     /// The status for the wire: one reason per part.
@@ -167,14 +170,29 @@ impl Health {
 }
 
 /// A part and its subject.
-type Key = (&'static str, String);
-type Look = dyn Fn() -> Option<Fault> + Send + Sync;
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    part: &'static str,
+    subject: String,
+}
+
+/// A fault and its start.
+struct KnownFault {
+    fault: Fault,
+    since: Instant,
+}
+
+/// A part that is queried for its fault.
+#[derive(Clone)]
+struct Probe {
+    key: Key,
+    fault: Arc<dyn Fn() -> Option<Fault> + Send + Sync>,
+}
 
 #[derive(Default)]
 struct Inner {
-    /// The fault of each part, and its start.
-    faults: Mutex<BTreeMap<Key, (Fault, Instant)>>,
-    probes: Mutex<Vec<(Key, Arc<Look>)>>,
+    faults: Mutex<BTreeMap<Key, KnownFault>>,
+    probes: Mutex<Vec<Probe>>,
     changes: watch::Sender<HealthStatus>,
 }
 
@@ -196,48 +214,55 @@ impl Readiness {
 
     /// Like [`part`](Self::part), for one of several: the camera `front` of the part `cameras`.
     pub fn part_of(&self, part: &'static str, subject: impl Into<String>) -> Part {
+        let subject = subject.into();
         Part {
             readiness: self.clone(),
-            key: (part, subject.into()),
+            key: Key { part, subject },
         }
     }
 
-    /// Calls `look` at each [`health`](Self::health). It must not block.
+    /// Calls `fault` at each [`health`](Self::health). It must not block.
     pub fn probe(
         &self,
         part: &'static str,
         subject: impl Into<String>,
         fault: impl Fn() -> Option<Fault> + Send + Sync + 'static,
     ) {
-        let key = (part, subject.into());
-        self.0.probes.lock().push((key, Arc::new(fault)));
+        let subject = subject.into();
+        self.0.probes.lock().push(Probe {
+            key: Key { part, subject },
+            fault: Arc::new(fault),
+        });
     }
 
     /// Returns the present faults.
     pub fn health(&self) -> Health {
         // Probes run without the lock: a probe may itself report a part.
         let probes = self.0.probes.lock().clone();
-        let probed: Vec<_> = probes.into_iter().map(|(key, probe)| (key, probe())).collect();
+        let mut probed = Vec::new();
+        for probe in probes {
+            let fault = (probe.fault)();
+            probed.push((probe.key, fault));
+        }
         let mut known = self.0.faults.lock();
         for (key, fault) in probed {
             put(&mut known, key, fault);
         }
-        let faults = known
-            .iter()
-            .map(|(key, (fault, since))| PartFault {
-                part: key.0,
-                subject: key.1.clone(),
-                fault: fault.clone(),
-                since_s: seconds(since.elapsed()),
-            })
-            .collect();
-        let health = Health { faults };
+        let mut health = Health::default();
+        for (key, one) in known.iter() {
+            health.faults.push(PartFault {
+                part: key.part,
+                subject: key.subject.clone(),
+                fault: one.fault.clone(),
+                since_s: seconds(one.since.elapsed()),
+            });
+        }
         // Under the lock, so that the later of two concurrent reads is sent last.
         let status = health.status();
         self.0.changes.send_if_modified(|shown| {
-            let changed = *shown != status;
+            let has_changed = *shown != status;
             *shown = status;
-            changed
+            has_changed
         });
         health
     }
@@ -267,7 +292,9 @@ impl Readiness {
             }
             let now = self.health();
             changes.mark_unchanged();
-            has_started |= now.is_ready() || begun.elapsed() >= START;
+            if now.is_ready() || begun.elapsed() >= START {
+                has_started = true;
+            }
             if !has_started {
                 continue;
             }
@@ -287,14 +314,17 @@ impl Readiness {
     }
 }
 
-fn put(faults: &mut BTreeMap<Key, (Fault, Instant)>, key: Key, fault: Option<Fault>) {
-    match fault {
-        None => drop(faults.remove(&key)),
-        Some(fault) => {
-            let since = faults.get(&key).map_or_else(Instant::now, |known| known.1);
-            faults.insert(key, (fault, since));
-        }
-    }
+/// Notes the fault of a part, or that it has none.
+fn put(faults: &mut BTreeMap<Key, KnownFault>, key: Key, fault: Option<Fault>) {
+    let Some(fault) = fault else {
+        faults.remove(&key);
+        return;
+    };
+    let since = match faults.get(&key) {
+        Some(known) => known.since,
+        None => Instant::now(),
+    };
+    faults.insert(key, KnownFault { fault, since });
 }
 
 /// The state of a service in words.

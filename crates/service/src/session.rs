@@ -8,8 +8,10 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 use zenoh::{Session, Wait};
 
-/// The first and longest pause between a client's attempts to reach its router, without jitter.
-const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
+/// The first pause between two attempts to open a session, without jitter; it doubles with each attempt.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+/// The longest pause between two attempts, without jitter.
+const LONGEST_PAUSE: Duration = Duration::from_secs(15);
 
 /// Inserts settings by Zenoh's names, such as `("transport/link/tx/lease", 60000)`, into a Zenoh configuration.
 ///
@@ -58,23 +60,23 @@ pub async fn open(
             (place, "zenoh.listen".to_owned())
         }
     };
-    let mut pause = RETRY.0;
+    let mut pause = FIRST_PAUSE;
     loop {
-        let error = match attempt(zenoh.clone()).await {
+        let reason = match attempt(zenoh.clone()).await {
             Ok(session) => return Ok(session),
-            Err(error) => error,
+            Err(reason) => reason,
         };
-        let error = ServiceError(
-            not_listening(&key, &error)
-                .unwrap_or_else(|| format!("Zenoh session not opened ({place}): {error}")),
-        );
+        let error = match not_listening(&key, &reason) {
+            Some(words) => ServiceError(words),
+            None => ServiceError(format!("Zenoh session not opened ({place}): {reason}")),
+        };
         if !retries {
             return Err(error);
         }
         tracing::warn!("{error}; retrying");
         failed(&error);
         tokio::time::sleep(jittered(pause)).await;
-        pause = (pause * 2).min(RETRY.1);
+        pause = (pause * 2).min(LONGEST_PAUSE);
     }
 }
 
@@ -94,9 +96,15 @@ pub async fn attempt(config: zenoh::Config) -> Result<Session, String> {
 pub fn not_listening(key: &str, error: &str) -> Option<String> {
     let (_, said) = error.split_once(" listener bound to ")?;
     let (endpoint, causes) = said.split_once(": [")?;
-    let cause = causes.split_once(": ").map_or(causes, |(_address, cause)| cause);
-    let (cause, _) = cause.split_once(" (os error").unwrap_or((cause, ""));
-    let cause = cause.trim_end_matches(['.', ']']);
+    let words = match causes.split_once(": ") {
+        Some((_address, words)) => words,
+        None => causes,
+    };
+    let without_number = match words.split_once(" (os error") {
+        Some((before, _)) => before,
+        None => words,
+    };
+    let cause = without_number.trim_end_matches(['.', ']']);
     let way_out = if cause.starts_with("Address already in use") {
         " (by a running node or hub? another port in the same key works, too)"
     } else {

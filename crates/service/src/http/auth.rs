@@ -83,9 +83,16 @@ impl Admitted {
     }
 }
 
+/// A token with its holder.
+#[derive(Clone, PartialEq)]
+struct KnownToken {
+    caller: Caller,
+    token: Token,
+}
+
 enum Rule {
     /// Requests must carry one of the tokens.
-    Tokens(RwLock<Vec<(Caller, Token)>>),
+    Tokens(RwLock<Vec<KnownToken>>),
     /// Only programs on this machine can reach the listener. A web page could still point its own host name to
     /// this machine (DNS rebinding) and so get past the browser; the `Host` header reveals it.
     ThisMachine,
@@ -138,8 +145,12 @@ impl Guard {
             tokio::time::sleep(READ_EVERY).await;
             let config = config.clone();
             let named = named.clone();
-            let read = tokio::task::spawn_blocking(move || read_tokens(&config, &named)).await;
-            match read.unwrap_or_else(|error| Err(error.to_string())) {
+            let reading = tokio::task::spawn_blocking(move || read_tokens(&config, &named));
+            let read = match reading.await {
+                Ok(read) => read,
+                Err(error) => Err(error.to_string()),
+            };
+            match read {
                 Ok(found) => {
                     fault = None;
                     if *tokens.read() != found {
@@ -167,17 +178,17 @@ impl Guard {
             name: ANONYMOUS.into(),
             role,
         };
-        let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+        let only_reads = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
         let refused = |status, detail: &str| Err(Problem::new(status, detail));
         match &*self.rule {
             Rule::Tokens(tokens) => {
                 let tokens = tokens.read();
-                let holder = tokens.iter().find(|(_, token)| carries(headers, token));
-                if let Some((caller, _)) = holder {
-                    if looks || caller.role == Role::Tune {
-                        return Ok(caller.clone());
+                let carried = tokens.iter().find(|known| carries(headers, &known.token));
+                if let Some(known) = carried {
+                    if only_reads || known.caller.role == Role::Tune {
+                        return Ok(known.caller.clone());
                     }
-                    let name = &caller.name;
+                    let name = &known.caller.name;
                     let detail = format!(
                         "the token `{name}` may only read: this needs a token with the role `tune`"
                     );
@@ -197,7 +208,7 @@ impl Guard {
                     "this needs the header `Authorization: Bearer TOKEN` with the node's token",
                 )
             }
-            _ if !looks && self.is_from_another_site(headers) => refused(
+            _ if !only_reads && self.is_from_another_site(headers) => refused(
                 StatusCode::FORBIDDEN,
                 "without a token a page of another site may not change anything: set a token, or name the page's \
                  origin in http.cors_origins",
@@ -245,19 +256,26 @@ fn is_json(headers: &HeaderMap) -> bool {
     media_type.trim().eq_ignore_ascii_case("application/json")
 }
 
-fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, String> {
-    let own = ("token", Role::Tune, &config.token, &config.token_file);
-    let named = named.iter().map(|one| (&*one.name, one.role, &one.token, &one.token_file));
+fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<KnownToken>, String> {
+    let own = NamedToken {
+        name: "token".to_owned(),
+        role: Role::Tune,
+        token: config.token.clone(),
+        token_file: config.token_file.clone(),
+    };
     let mut tokens = Vec::new();
-    for (name, role, token, file) in std::iter::once(own).chain(named) {
-        let token = match file {
+    for one in std::iter::once(&own).chain(named) {
+        let token = match &one.token_file {
             Some(file) => Some(read_token(file)?),
-            None => token.clone(),
+            None => one.token.clone(),
         };
         if let Some(token) = token {
             crate::logging::conceal(token.secret());
-            let name = name.into();
-            tokens.push((Caller { name, role }, token));
+            let caller = Caller {
+                name: one.name.as_str().into(),
+                role: one.role,
+            };
+            tokens.push(KnownToken { caller, token });
         }
     }
     Ok(tokens)
@@ -277,12 +295,16 @@ pub fn read_token(file: &Path) -> Result<Token, String> {
 }
 
 fn carries(headers: &HeaderMap, token: &Token) -> bool {
-    let sent = headers.get(AUTHORIZATION).and_then(|sent| sent.as_bytes().split_at_checked(7));
-    sent.is_some_and(|(scheme, sent)| {
-        // In constant time, so that the delay does not reveal how many characters were right.
-        let is_right = bool::from(sent.ct_eq(token.secret().as_bytes()));
-        scheme.eq_ignore_ascii_case(b"bearer ") && is_right
-    })
+    const SCHEME: &[u8] = b"bearer ";
+    let Some(header) = headers.get(AUTHORIZATION) else {
+        return false;
+    };
+    let Some((scheme, secret)) = header.as_bytes().split_at_checked(SCHEME.len()) else {
+        return false;
+    };
+    // In constant time, so that the delay does not reveal how many characters were right.
+    let is_right = bool::from(secret.ct_eq(token.secret().as_bytes()));
+    scheme.eq_ignore_ascii_case(SCHEME) && is_right
 }
 
 /// True if the request names this machine by address or as `localhost`, and nothing else. An unreadable name, or two

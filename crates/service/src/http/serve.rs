@@ -97,26 +97,33 @@ pub async fn run(
     Ok(())
 }
 
+/// An open connection.
+struct Connection {
+    task: AbortHandle,
+    admitted: Admitted,
+}
+
 /// The open connections, the oldest first.
 #[derive(Default)]
-struct Connections(VecDeque<(AbortHandle, Admitted)>);
+struct Connections(VecDeque<Connection>);
 
 impl Connections {
     fn add(&mut self, task: AbortHandle, admitted: Admitted) {
-        self.0.push_back((task, admitted));
+        self.0.push_back(Connection { task, admitted });
     }
 
     /// Closes a connection if there are `most`, so that clients that only hold connections cannot keep others out. One
-    /// without an admitted request goes first: whoever has no token cuts off nobody who has one. A page whose event stream
-    /// is cut reopens it.
+    /// without an admitted request goes first, so that a client without a token cuts off none that has one. A page whose
+    /// event stream is cut reopens it.
     fn make_room(&mut self, most: usize) {
-        self.0.retain(|(task, _)| !task.is_finished());
+        self.0.retain(|one| !one.task.is_finished());
         if self.0.len() < most {
             return;
         }
-        let unproven = self.0.iter().position(|(_, admitted)| !admitted.is_set());
-        if let Some((task, _)) = self.0.remove(unproven.unwrap_or(0)) {
-            task.abort();
+        let first_unproven = self.0.iter().position(|one| !one.admitted.is_set());
+        let oldest = 0;
+        if let Some(closed) = self.0.remove(first_unproven.unwrap_or(oldest)) {
+            closed.task.abort();
         }
     }
 }
@@ -202,8 +209,8 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
 
 /// Ends a JSON answer with a new line, so that a terminal's prompt does not stick to it.
 async fn end_the_line(response: Response) -> Response {
-    let media_type = response.headers().get(CONTENT_TYPE);
-    let media_type = media_type.and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let header = response.headers().get(CONTENT_TYPE);
+    let media_type = header.and_then(|value| value.to_str().ok()).unwrap_or_default();
     // A stream has no exact size, and lines of its own.
     let is_whole = response.body().size_hint().exact().is_some();
     if !media_type.ends_with("json") || !is_whole {
@@ -227,8 +234,8 @@ async fn believe_the_type(mut response: Response) -> Response {
     response
 }
 
-/// Logs a failed answer, unless it only says that the service is not ready: whoever may send requests could otherwise fill
-/// the log, and the log already has the reason once.
+/// Logs a failed answer, unless it only says that the service is not ready: requests could otherwise fill the log, which
+/// already has the reason once.
 fn log_failure(failure: ServerErrorsFailureClass, latency: Duration, _span: &tracing::Span) {
     let is_not_ready = matches!(
         failure,

@@ -57,9 +57,14 @@ pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
 /// Masks `secret` in all lines, including those already kept.
 pub fn conceal(secret: &str) {
     let secret = secret.trim();
-    if secret.len() >= SHORTEST_SECRET && SECRETS.write().insert(secret.to_owned()) {
-        let mut kept = LAST.lock();
-        kept.iter_mut().for_each(|line| mask(&mut line.text));
+    if secret.len() < SHORTEST_SECRET {
+        return;
+    }
+    let is_new = SECRETS.write().insert(secret.to_owned());
+    if is_new {
+        for line in LAST.lock().iter_mut() {
+            mask(&mut line.text);
+        }
     }
 }
 
@@ -82,8 +87,8 @@ fn keep(lines: &mut VecDeque<LogLine>, mut line: LogLine) {
 
 fn after(lines: &VecDeque<LogLine>, number: u64, most: usize) -> Vec<LogLine> {
     let new = lines.iter().filter(|line| line.number > number);
-    let over = new.clone().count().saturating_sub(most);
-    new.skip(over).cloned().collect()
+    let too_many = new.clone().count().saturating_sub(most);
+    new.skip(too_many).cloned().collect()
 }
 
 /// Creates the layer that keeps each event as a line.
@@ -109,18 +114,27 @@ impl<'w> FormatFields<'w> for PlainFields {
 /// Makes a log line from the text of an event.
 struct Tail;
 
-/// The level and the target of an event.
-struct Line(Level, String);
+/// A line of which the text is not known yet.
+struct Line {
+    level: Level,
+    target: String,
+}
 
 impl MakeWriter<'_> for Tail {
     type Writer = Line;
 
     fn make_writer(&self) -> Line {
-        Line(Level::INFO, String::new())
+        Line {
+            level: Level::INFO,
+            target: String::new(),
+        }
     }
 
     fn make_writer_for(&self, about: &Metadata<'_>) -> Line {
-        Line(*about.level(), about.target().to_owned())
+        Line {
+            level: *about.level(),
+            target: about.target().to_owned(),
+        }
     }
 }
 
@@ -128,7 +142,7 @@ impl io::Write for Line {
     /// Takes a whole event, which is written at once.
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
-        if is_zenohs(&self.1) {
+        if is_zenohs(&self.target) {
             text = plain(&text);
         }
         // Before truncation: the first half of a secret is also secret.
@@ -140,8 +154,8 @@ impl io::Write for Line {
         let line = LogLine {
             number: 0,
             at_ms: crate::clock::unix_milliseconds(),
-            level: self.0.as_str(),
-            target: std::mem::take(&mut self.1),
+            level: self.level.as_str(),
+            target: std::mem::take(&mut self.target),
             text,
         };
         keep(&mut LAST.lock(), line);
@@ -173,7 +187,8 @@ mod tests {
         }
         let all = after(&lines, 0, usize::MAX);
         assert_eq!(all.len(), KEPT);
-        assert_eq!((all[0].number, all[0].text.as_str()), (4, "4"));
+        assert_eq!(all[0].number, 4);
+        assert_eq!(all[0].text, "4");
         let last = after(&lines, 1000, 2);
         assert_eq!([last[0].number, last[1].number], [1002, 1003]);
         assert_eq!(after(&lines, 1003, 10), []);

@@ -16,10 +16,10 @@ const WAITING: usize = 4096;
 /// The time limit for the waiting lines to be written at the end.
 const PARTING: Duration = Duration::from_millis(1500);
 
-/// Of Zenoh: its error follows, and is told with the key to change.
-const SAID_BY_OTHERS: &str = "Unable to open listener ";
+/// A line of Zenoh that is left out: the error that Zenoh returns next is logged with the key to change.
+const LOGGED_WITH_ITS_KEY: &str = "Unable to open listener ";
 
-/// The time between two looks at the number of dropped lines.
+/// Interval at which the log is checked for dropped lines.
 const COUNT_EVERY: Duration = Duration::from_secs(5);
 
 struct Writer {
@@ -69,7 +69,7 @@ impl io::Write for WrittenLine {
             return self.to.write(event);
         }
         let line = plain(&String::from_utf8_lossy(event)) + "\n";
-        if !line.contains(SAID_BY_OTHERS) {
+        if !line.contains(LOGGED_WITH_ITS_KEY) {
             self.to.write_all(line.as_bytes())?;
         }
         Ok(event.len())
@@ -90,10 +90,10 @@ fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
         let builder = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(WAITING);
         let (lines, thread) = builder.thread_name("log").finish(to);
         let dropped = lines.error_counter();
-        // Without a thread for it the metric still tells.
+        // If the thread cannot be started, the metric still counts the lines.
         let _ = std::thread::Builder::new()
             .name("log-watch".to_owned())
-            .spawn(move || tell_drops(&dropped));
+            .spawn(move || log_drops(&dropped));
         Writer {
             dropped: lines.error_counter(),
             lines,
@@ -103,21 +103,21 @@ fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
 }
 
 /// Says in the log how many lines it lacks, once it is written again.
-fn tell_drops(counter: &ErrorCounter) {
-    let mut told = 0;
+fn log_drops(counter: &ErrorCounter) {
+    let mut logged = 0;
     loop {
         std::thread::sleep(COUNT_EVERY);
         let dropped = counter.dropped_lines();
-        if dropped == told {
+        if dropped == logged {
             continue;
         }
         tracing::warn!(
-            dropped = dropped - told,
+            dropped = dropped - logged,
             "the log lacks lines: nobody read standard error fast enough"
         );
         // If this line was dropped, too, it is repeated.
         if counter.dropped_lines() == dropped {
-            told = dropped;
+            logged = dropped;
         }
     }
 }
@@ -178,17 +178,19 @@ mod tests {
     fn a_written_line_of_zenoh_names_no_place_in_its_source() {
         let written = Written::default();
         let (to, thread) = NonBlockingBuilder::default().finish(written.clone());
-        for is_zenohs in [true, false] {
-            let mut line = WrittenLine {
-                to: to.clone(),
-                is_zenohs,
-            };
-            line.write_all(b"  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n").unwrap();
-            if is_zenohs {
-                line.write_all(b"  WARN Unable to open listener tcp/127.0.0.1:1: in use\n")
-                    .unwrap();
-            }
-        }
+        let mut line_of_zenoh = WrittenLine {
+            to: to.clone(),
+            is_zenohs: true,
+        };
+        let mut other_line = WrittenLine {
+            to,
+            is_zenohs: false,
+        };
+        let place = b"  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n";
+        let logged_with_its_key = b"  WARN Unable to open listener tcp/127.0.0.1:1: in use\n";
+        line_of_zenoh.write_all(place).unwrap();
+        line_of_zenoh.write_all(logged_with_its_key).unwrap();
+        other_line.write_all(place).unwrap();
         drop(thread);
         let text = String::from_utf8(written.0.lock().clone()).unwrap();
         assert_eq!(
