@@ -111,8 +111,10 @@ impl Machine {
     /// The busy share of the GPU, 0 to 1. What is no number of thousandths is no figure.
     fn gpu_utilisation(&self) -> Option<f64> {
         let load: f64 = sysfs::number(self.gpu_load.as_ref()?).ok()?;
-        let is_share = (0.0..=1000.0).contains(&load);
-        is_share.then_some(load * 1e-3)
+        if !(0.0..=1000.0).contains(&load) {
+            return None;
+        }
+        Some(load * 1e-3)
     }
 
     /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.

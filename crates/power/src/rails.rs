@@ -110,7 +110,9 @@ impl RailMap {
     pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
         let table = best_table(&self.tables, rails);
         let input = table.and_then(|table| live_input(table, rails));
-        self.has_input |= input.is_some();
+        if input.is_some() {
+            self.has_input = true;
+        }
         let (total, total_from) = if self.has_input {
             let watts = input.and_then(|name| watts_of(rails, name));
             (watts, INPUT_RAIL)

@@ -83,7 +83,10 @@ impl PowerSnapshot {
     pub fn energy(&self, domain: &str) -> Option<(f64, f64)> {
         let seconds = *self.covered_s.get(domain)?;
         let joules = *self.joules.get(domain)?;
-        (seconds > 0.0).then_some((joules, seconds))
+        if seconds <= 0.0 {
+            return None;
+        }
+        Some((joules, seconds))
     }
 
     /// CPU time of reading the source as a share of one core; 0 before the second sample.
@@ -178,10 +181,10 @@ pub async fn start(
     config: &PowerConfig,
     shutdown: CancellationToken,
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
-    let of_meter = config.clone();
+    let meter_config = config.clone();
     let opening = tokio::task::spawn_blocking(move || {
-        let (source, meter) = choose::open(&of_meter)?;
-        Ok((source, meter, Machine::new(&of_meter)))
+        let (source, meter) = choose::open(&meter_config)?;
+        Ok((source, meter, Machine::new(&meter_config)))
     });
     let opened = opening
         .await
@@ -234,9 +237,11 @@ impl Sensors {
     fn read(&mut self, account: &Mutex<Account>) -> Result<(), MeterError> {
         let cpu = thread_cpu();
         let before = Instant::now();
-        // A panic is a bug in a meter; its next poll may still succeed.
-        let readings = catch_unwind(AssertUnwindSafe(|| self.meter.poll(before)))
-            .unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
+        let readings = match catch_unwind(AssertUnwindSafe(|| self.meter.poll(before))) {
+            Ok(polled) => polled,
+            // A panic is a bug in a meter; its next poll may still succeed.
+            Err(_) => Err(MeterError::Failed("the meter panicked".to_owned())),
+        };
         // A reading takes a while: what it shows is of the middle of it.
         let middle = before + before.elapsed() / 2;
         let condition = self.condition(before);

@@ -60,8 +60,14 @@ struct Open {
     from: Option<Totals>,
     /// The provisional end, used if nothing more happens.
     end: Instant,
-    /// The totals and the notes at the provisional end; `None` until the first sample after it.
-    to: Option<(Totals, Notes)>,
+    /// What is known at the provisional end; `None` until the first sample after it.
+    to: Option<AtEnd>,
+    notes: Notes,
+}
+
+#[derive(Debug)]
+struct AtEnd {
+    totals: Totals,
     notes: Notes,
 }
 
@@ -71,9 +77,14 @@ impl Open {
         if sample.at < self.start {
             return;
         }
-        self.from.get_or_insert_with(|| history.at(self.start));
+        if self.from.is_none() {
+            self.from = Some(history.at(self.start));
+        }
         if self.to.is_none() && sample.at > self.end {
-            self.to = Some((history.at(self.end), self.notes.clone()));
+            self.to = Some(AtEnd {
+                totals: history.at(self.end),
+                notes: self.notes.clone(),
+            });
         }
         self.notes.add(sample);
     }
@@ -177,12 +188,18 @@ impl Account {
     /// Ends a measurement and returns the energy used until `end`, from the samples so far.
     pub(crate) fn close(&mut self, number: u64, end: Instant) -> Option<Measured> {
         let open = self.open.remove(&number)?;
-        let (to, notes) = match open.to {
+        let AtEnd { totals: to, notes } = match open.to {
             // The history may no longer reach back to the end.
             Some(known) if open.end == end => known,
-            _ => (self.history.at(end), open.notes),
+            _ => AtEnd {
+                totals: self.history.at(end),
+                notes: open.notes,
+            },
         };
-        let from = open.from.unwrap_or_else(|| self.history.at(open.start));
+        let from = match open.from {
+            Some(known) => known,
+            None => self.history.at(open.start),
+        };
         let seconds = end.saturating_duration_since(open.start).as_secs_f64();
         let mut energy = self.energy(&from, &to, seconds, &notes);
         let before = from.camera(open.camera);

@@ -106,19 +106,29 @@ impl DetectorWatts {
 #[derive(Clone, Copy, Debug, Default)]
 struct Line {
     points: f64,
-    means: Option<(f64, f64)>,
+    means: Option<Means>,
     xx: f64,
     xy: f64,
     yy: f64,
 }
 
+/// The means of the recent points.
+#[derive(Clone, Copy, Debug)]
+struct Means {
+    x: f64,
+    y: f64,
+}
+
 impl Line {
     fn add(&mut self, x: f64, y: f64, seconds: f64) {
-        let (mean_x, mean_y) = self.means.unwrap_or((x, y));
-        let dx = x - mean_x;
-        let dy = y - mean_y;
+        let means = self.means.unwrap_or(Means { x, y });
+        let dx = x - means.x;
+        let dy = y - means.y;
         let part = 1.0 - (-seconds / MEAN_S).exp();
-        self.means = Some((mean_x + part * dx, mean_y + part * dy));
+        self.means = Some(Means {
+            x: means.x + part * dx,
+            y: means.y + part * dy,
+        });
         let keep = (-seconds / MEMORY_S).exp();
         for (sum, more) in [
             (&mut self.points, 1.0),
@@ -140,7 +150,10 @@ impl Line {
         let residual = (self.yy - slope * self.xy).max(0.0) / (self.points - 2.0);
         let error = (residual / self.xx).sqrt();
         let is_known = slope > 0.0 && error <= LARGEST_ERROR * slope;
-        is_known.then_some(slope)
+        if !is_known {
+            return None;
+        }
+        Some(slope)
     }
 }
 

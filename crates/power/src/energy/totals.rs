@@ -166,7 +166,10 @@ impl History {
     pub(crate) fn present(&self, now: Instant) -> Option<&Sample> {
         let newest = self.latest()?;
         let age_s = now.saturating_duration_since(newest.at).as_secs_f64();
-        (age_s <= self.gap_s).then_some(newest)
+        if age_s > self.gap_s {
+            return None;
+        }
+        Some(newest)
     }
 
     /// The last kept sample at or before `moment`.

@@ -64,7 +64,10 @@ impl ConditionSum {
             gpu_utilisation: self.gpu_utilisation.value(),
             ..self.worst.clone()
         };
-        (state != BoardState::default()).then_some(state)
+        if state == BoardState::default() {
+            return None;
+        }
+        Some(state)
     }
 }
 
@@ -84,7 +87,10 @@ impl Mean {
     }
 
     pub(crate) fn value(self) -> Option<f64> {
-        (self.count > 0.0).then(|| self.sum / self.count)
+        if self.count == 0.0 {
+            return None;
+        }
+        Some(self.sum / self.count)
     }
 }
 

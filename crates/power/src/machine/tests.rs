@@ -73,13 +73,13 @@ fn throttling_is_an_active_cooling_device_but_no_fan_and_an_event_counter_that_r
     tree.write(event, "0");
     let mut machine = Machine::new(&tree.config());
     let mut throttled = || machine.read().throttled;
-    assert_eq!((throttled(), throttled()), (Some(false), Some(false)));
+    assert_eq!([throttled(), throttled()], [Some(false), Some(false)]);
     tree.write(event, "1");
-    assert_eq!((throttled(), throttled()), (Some(true), Some(false)));
+    assert_eq!([throttled(), throttled()], [Some(true), Some(false)]);
     tree.write(counter, "42");
-    assert_eq!((throttled(), throttled()), (Some(true), Some(false)));
+    assert_eq!([throttled(), throttled()], [Some(true), Some(false)]);
     cool("cooling_device1", "cpufreq-cpu0", 2);
-    assert_eq!((throttled(), throttled()), (Some(true), Some(true)));
+    assert_eq!([throttled(), throttled()], [Some(true), Some(true)]);
 }
 
 #[test]

@@ -4,13 +4,18 @@ use crate::tests::{Tree, reading, total};
 use albireo_wire::ClipEnergy;
 
 /// A meter that follows a power curve over the seconds since its creation.
-struct Curve<F>(Instant, F);
+struct Curve<F> {
+    created: Instant,
+    watts: F,
+}
 
 impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let watts = self.1(now.duration_since(self.0).as_secs_f64())
-            .ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
-        Ok(vec![reading(Value::Power(watts))])
+        let seconds = now.duration_since(self.created).as_secs_f64();
+        match (self.watts)(seconds) {
+            Some(watts) => Ok(vec![reading(Value::Power(watts))]),
+            None => Err(MeterError::Failed("stalled".to_owned())),
+        }
     }
 }
 
@@ -21,7 +26,11 @@ fn sampled_every(
     let start = Instant::now();
     let interval = Duration::from_millis(interval_ms);
     let never = CancellationToken::new();
-    let (handle, _task) = start_with("curve", Box::new(Curve(start, curve)), interval, never);
+    let meter = Curve {
+        created: start,
+        watts: curve,
+    };
+    let (handle, _task) = start_with("curve", Box::new(meter), interval, never);
     (handle, start)
 }
 
@@ -34,7 +43,10 @@ async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnerg
 async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() {
     let start = Instant::now();
     let stop = CancellationToken::new();
-    let meter = Curve(start, |t| Some(10.0 + t));
+    let meter = Curve {
+        created: start,
+        watts: |t| Some(10.0 + t),
+    };
     let interval = Duration::from_millis(100);
     let (handle, task) = start_with("curve", Box::new(meter), interval, stop.clone());
     let end = start + Duration::from_millis(8_250);
@@ -100,8 +112,12 @@ async fn energy_is_exact_from_the_shortest_to_the_longest_interval() {
 #[tokio::test(start_paused = true)]
 async fn a_stalled_meter_makes_energy_partial_at_short_and_long_intervals() {
     for interval in [100, 1000, 10_000] {
-        let (handle, start) =
-            sampled_every(interval, |t| (!(35.0..95.0).contains(&t)).then_some(10.0));
+        let (handle, start) = sampled_every(interval, |t| {
+            if (35.0..95.0).contains(&t) {
+                return None;
+            }
+            Some(10.0)
+        });
         let span = handle.camera().measure(start);
         let end = start + Duration::from_secs(200);
         tokio::time::sleep_until(end).await;
@@ -134,12 +150,13 @@ async fn a_clip_waits_for_the_first_sample_after_its_end_but_no_longer_than_its_
     let expected = Duration::from_secs(7)..Duration::from_millis(7_100);
     assert!(expected.contains(&waited), "{waited:?}");
     assert!((total(&spent) - 0.5 * 13.0 * 13.0).abs() < 0.1, "{spent:?}");
-    assert_eq!((spent.samples, spent.quality), (1, EnergyQuality::Measured));
+    assert_eq!(spent.samples, 1);
+    assert_eq!(spent.quality, EnergyQuality::Measured);
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_failing_meter_delays_clips_briefly_and_leaves_the_gap_uncovered() {
-    let (handle, start) = sampled_every(1_000, |t| (t < 5.5).then_some(10.0));
+    let (handle, start) = sampled_every(1_000, |t| if t < 5.5 { Some(10.0) } else { None });
     let camera = handle.camera();
     let spans: Vec<_> = (0..100).map(|_| camera.measure(start)).collect();
     let end = start + Duration::from_secs(10);

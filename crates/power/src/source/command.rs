@@ -190,8 +190,13 @@ fn parsed(line: &str) -> Option<RailWatts> {
     // A name may have several words.
     let (name, watts) = line.trim().rsplit_once(char::is_whitespace)?;
     let watts: f64 = watts.parse().ok()?;
-    let name = name.trim().into();
-    watts.is_finite().then_some(RailWatts { name, watts })
+    if !watts.is_finite() {
+        return None;
+    }
+    Some(RailWatts {
+        name: name.trim().into(),
+        watts,
+    })
 }
 
 #[cfg(test)]

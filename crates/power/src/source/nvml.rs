@@ -42,7 +42,7 @@ struct Card {
     energy: Counter,
 }
 
-/// What is said of a card that answered before.
+/// The error of a card that answered before and answers no longer.
 const LOST: &str = "it no longer reports its power";
 
 impl Card {
@@ -63,7 +63,7 @@ impl Card {
 pub(crate) struct Nvml {
     cards: Vec<Card>,
     /// True if all cards count energy.
-    count: bool,
+    counts_energy: bool,
     /// The cards of this machine that are not read.
     unread: usize,
     /// True if another meter reads the processor.
@@ -103,16 +103,16 @@ impl Nvml {
     fn with(driver: Box<dyn Cards>, known: usize) -> Result<Self, MeterError> {
         let count = driver.count().map_err(MeterError::missing)?;
         let mut cards = Vec::new();
-        let mut all_count = true;
+        let mut counts_energy = true;
         for index in 0..count {
-            let counts = matches!(driver.energy_mj(index), Ok(Some(_)));
-            if !counts {
-                let power = driver.power_mw(index);
-                if power.map_err(|reason| unreadable(index, reason))?.is_none() {
+            let card_counts = matches!(driver.energy_mj(index), Ok(Some(_)));
+            if !card_counts {
+                let power = driver.power_mw(index).map_err(|reason| unreadable(index, reason))?;
+                if power.is_none() {
                     continue;
                 }
+                counts_energy = false;
             }
-            all_count &= counts;
             let model = driver.name(index).unwrap_or_else(|| "card".to_owned());
             let name = format!("{index} {model}");
             cards.push(Card {
@@ -121,18 +121,18 @@ impl Nvml {
             });
         }
         if cards.is_empty() {
-            return Err(MeterError::missing(match count {
-                0 => "there is a driver, but no card",
-                _ => {
-                    "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
-                }
-            }));
+            let reason = if count == 0 {
+                "there is a driver, but no card"
+            } else {
+                "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
+            };
+            return Err(MeterError::missing(reason));
         }
         let in_all = known.max(count as usize);
         Ok(Self {
             unread: in_all.saturating_sub(cards.len()),
             cards,
-            count: all_count,
+            counts_energy,
             processor_is_read: false,
             driver,
         })
@@ -151,24 +151,24 @@ impl Meter for Nvml {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.cards.len());
         let mut sum = 0.0;
-        let value = if self.count {
+        let value = if self.counts_energy {
             Value::Counter
         } else {
             Value::Power
         };
         for card in &mut self.cards {
-            let read = if self.count {
+            let read = if self.counts_energy {
                 card.joules(&*self.driver, now)
             } else {
                 card.watts(&*self.driver)
             };
-            let read = read.map_err(|reason| unreadable(card.index, reason))?;
-            sum += read;
+            let figure = read.map_err(|reason| unreadable(card.index, reason))?;
+            sum += figure;
             rails.push(Rail {
                 name: Arc::clone(&card.energy.name),
                 domain: Some(Domain::Gpu),
                 in_total: true,
-                value: value(read),
+                value: value(figure),
             });
         }
         let mut left_out = Vec::new();

@@ -41,7 +41,10 @@ pub(super) fn cards_in_words(count: usize) -> String {
 
 /// The cards that are left out of a figure, in words; `None` for none.
 pub(super) fn without_cards(count: usize) -> Option<String> {
-    (count > 0).then(|| cards_in_words(count))
+    if count == 0 {
+        return None;
+    }
+    Some(cards_in_words(count))
 }
 
 /// [`Reading::total_from`] of a sum of parts: "processor, without card".

@@ -7,16 +7,24 @@ const REAR: u64 = 1;
 
 fn two_cameras() -> Attribution {
     let mut cameras = Attribution::default();
-    assert_eq!((cameras.add(), cameras.add()), (FRONT, REAR));
+    assert_eq!(cameras.add(), FRONT);
+    assert_eq!(cameras.add(), REAR);
     cameras
 }
 
-/// Divides 10 W over `samples` of 100 ms with `work` before each; returns the joules and saved seconds of each camera.
+/// What the two cameras were given.
+struct Given {
+    joules: [f64; 2],
+    /// Detector seconds that their avoided calls saved.
+    saved_s: [f64; 2],
+}
+
+/// Divides 10 W over `samples` of 100 ms with `work` before each.
 fn pass(
     cameras: &mut Attribution,
     samples: u64,
     mut work: impl FnMut(&mut Attribution, u64),
-) -> ([f64; 2], [f64; 2]) {
+) -> Given {
     let mut totals = Totals {
         cameras: cameras.divide(0.0, 0.0),
         ..Totals::default()
@@ -26,10 +34,13 @@ fn pass(
         work(cameras, sample);
         totals.cameras = cameras.divide(1.0, 0.1);
     }
-    let used = |of: fn(Sum) -> f64| {
-        [FRONT, REAR].map(|number| of(totals.camera(number)) - of(before.camera(number)))
+    let rise = |figure: fn(Sum) -> f64| {
+        [FRONT, REAR].map(|number| figure(totals.camera(number)) - figure(before.camera(number)))
     };
-    (used(|totals| totals.joules), used(|totals| totals.seconds))
+    Given {
+        joules: rise(|sum| sum.joules),
+        saved_s: rise(|sum| sum.seconds),
+    }
 }
 
 fn assert_near(found: [f64; 2], expected: [f64; 2], by: f64) {
@@ -40,13 +51,13 @@ fn assert_near(found: [f64; 2], expected: [f64; 2], by: f64) {
 #[test]
 fn energy_is_divided_by_detector_time_or_else_by_frames_or_else_equally() {
     let mut cameras = two_cameras();
-    let (joules, _) = pass(&mut cameras, 10, |_, _| {});
-    assert_near(joules, [5.0, 5.0], 1e-9);
-    let (joules, _) = pass(&mut cameras, 1000, |cameras, _| {
+    let idle = pass(&mut cameras, 10, |_, _| {});
+    assert_near(idle.joules, [5.0, 5.0], 1e-9);
+    let calling = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(30));
         cameras.called(REAR, ms(10));
     });
-    assert_near(joules, [750.0, 250.0], 1e-9);
+    assert_near(calling.joules, [750.0, 250.0], 1e-9);
     // Without calls, frames decide after some time constants.
     let frames = |cameras: &mut Attribution, sample: u64| {
         cameras.frame(FRONT);
@@ -55,10 +66,11 @@ fn energy_is_divided_by_detector_time_or_else_by_frames_or_else_equally() {
         }
     };
     pass(&mut cameras, 200, frames);
-    let (joules, _) = pass(&mut cameras, 900, frames);
-    assert_near(joules, [810.0, 90.0], 1.0);
-    let (joules, _) = pass(&mut cameras, 1000, |_, _| {});
-    assert!(joules[0] > 800.0 && (joules[0] + joules[1] - 1000.0).abs() < 1e-9);
+    let sending = pass(&mut cameras, 900, frames);
+    assert_near(sending.joules, [810.0, 90.0], 1.0);
+    let [front, rear] = pass(&mut cameras, 1000, |_, _| {}).joules;
+    assert!(front > 800.0, "as of the last frames: {front}");
+    assert!((front + rear - 1000.0).abs() < 1e-9);
 }
 
 #[test]
@@ -67,42 +79,44 @@ fn a_new_camera_shares_from_then_on_and_a_removed_one_gets_nothing() {
     assert_eq!(cameras.add(), FRONT);
     pass(&mut cameras, 10, |cameras, _| cameras.called(FRONT, ms(10)));
     assert_eq!(cameras.add(), REAR);
-    let (joules, _) = pass(&mut cameras, 1000, |cameras, _| {
+    let both = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(10));
         cameras.called(REAR, ms(10));
     });
-    assert_near(joules, [500.0, 500.0], 6.0);
+    assert_near(both.joules, [500.0, 500.0], 6.0);
     assert_eq!(cameras.divide(1.0, 0.1).len(), 2);
     cameras.remove(FRONT);
-    let (joules, _) = pass(&mut cameras, 10, |_, _| {});
-    assert!((joules[1] - 10.0).abs() < 1e-9, "{joules:?}");
+    let [_, rear] = pass(&mut cameras, 10, |_, _| {}).joules;
+    assert!((rear - 10.0).abs() < 1e-9, "{rear}");
 }
 
 #[test]
 fn an_avoided_call_saves_the_duration_of_a_call_and_nothing_before_the_first_call() {
     let mut cameras = two_cameras();
-    let (_, saved) = pass(&mut cameras, 10, |cameras, _| cameras.avoided(FRONT));
-    assert_near(saved, [0.0, 0.0], f64::MIN_POSITIVE);
-    let (_, saved) = pass(&mut cameras, 1000, |cameras, sample| {
+    let before = pass(&mut cameras, 10, |cameras, _| cameras.avoided(FRONT));
+    assert_near(before.saved_s, [0.0, 0.0], f64::MIN_POSITIVE);
+    let after = pass(&mut cameras, 1000, |cameras, sample| {
         cameras.called(FRONT, ms(20));
         cameras.avoided(FRONT);
         if sample.is_multiple_of(2) {
             cameras.avoided(REAR);
         }
     });
-    assert_near(saved, [20.0, 10.0], 0.05);
+    assert_near(after.saved_s, [20.0, 10.0], 0.05);
 }
 
 #[test]
 fn savings_are_limited_to_the_idle_time_of_one_detector() {
     let mut cameras = two_cameras();
     // It is busy for 80 of each 100 ms; the avoided calls would have taken another 120 ms.
-    let (_, saved) = pass(&mut cameras, 1000, |cameras, _| {
+    let given = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(40));
         cameras.called(REAR, ms(40));
-        (0..3).for_each(|_| cameras.avoided(REAR));
+        for _ in 0..3 {
+            cameras.avoided(REAR);
+        }
     });
-    assert_near(saved, [0.0, 20.0], 0.2);
+    assert_near(given.saved_s, [0.0, 20.0], 0.2);
 }
 
 #[test]
@@ -110,10 +124,12 @@ fn calls_avoided_in_a_burst_use_the_idle_time_around_it() {
     let mut cameras = two_cameras();
     cameras.called(FRONT, ms(40));
     // Four frames arrive at once twice per second: 160 ms of calls, which one detector would spread over two samples.
-    let (_, saved) = pass(&mut cameras, 1000, |cameras, sample| {
+    let given = pass(&mut cameras, 1000, |cameras, sample| {
         if sample.is_multiple_of(5) {
-            (0..4).for_each(|_| cameras.avoided(REAR));
+            for _ in 0..4 {
+                cameras.avoided(REAR);
+            }
         }
     });
-    assert_near(saved, [0.0, 200.0 * 0.16], 0.2);
+    assert_near(given.saved_s, [0.0, 200.0 * 0.16], 0.2);
 }

@@ -2,12 +2,17 @@ use super::*;
 use crate::reading::Value;
 use crate::tests::{ms, reading};
 
-/// A machine that draws `idle` watts, and `busy` more while its detector runs: `call` of every `every` ms if `runs`.
+/// A machine whose power follows its detector. Its time is cut into slots, in each of which the detector runs once or not.
 struct Machine {
+    /// Watts without the detector, at a time in seconds.
     idle: fn(f64) -> f64,
+    /// Watts that the running detector adds.
     busy: f64,
+    /// The length of a run, milliseconds.
     call: u64,
+    /// The length of a slot, milliseconds.
     every: u64,
+    /// The time between two samples, milliseconds.
     interval: u64,
 }
 
@@ -37,9 +42,10 @@ impl Machine {
     }
 }
 
+/// Of ten slots the detector runs in two to eight; the number changes every forty slots.
 fn varied(slot: u64) -> bool {
-    let lately = slot / 40 % 7;
-    slot % 10 < 2 + lately
+    let more = slot / 40 % 7;
+    slot % 10 < 2 + more
 }
 
 const MACHINE: Machine = Machine {

@@ -10,17 +10,26 @@ fn whole(seconds: f64) -> f64 {
     Duration::from_secs_f64(seconds).as_secs_f64()
 }
 
+/// Watts of a power, or joules of a counter, at a time in seconds.
+#[derive(Clone, Copy)]
+struct Point {
+    at: f64,
+    value: f64,
+}
+
 /// The integral over a span: between two samples, power changes evenly or a counter rises evenly.
-fn integral(samples: &[(f64, f64)], counted: bool, start: f64, end: f64) -> Sum {
+fn integral(samples: &[Point], is_counter: bool, start: f64, end: f64) -> Sum {
     let mut sum = Sum::default();
-    let longest = if counted { 60.0 } else { 1.0 };
+    let longest = if is_counter { 60.0 } else { 1.0 };
     for pair in samples.windows(2) {
-        let ((then, before), (at, value)) = (pair[0], pair[1]);
-        let (from, to) = (then.max(start), at.min(end));
-        if at - then <= longest && to > from {
-            let slope = (value - before) / (at - then);
-            let middle = before + slope * (0.5 * (from + to) - then);
-            let watts = if counted { slope } else { middle };
+        let before = pair[0];
+        let after = pair[1];
+        let from = before.at.max(start);
+        let to = after.at.min(end);
+        if after.at - before.at <= longest && to > from {
+            let slope = (after.value - before.value) / (after.at - before.at);
+            let middle = before.value + slope * (0.5 * (from + to) - before.at);
+            let watts = if is_counter { slope } else { middle };
             sum.joules += watts * (to - from);
             sum.seconds += to - from;
         }
@@ -52,26 +61,35 @@ proptest! {
     ) {
         let zero = Instant::now();
         let moment = |seconds: f64| zero + Duration::from_secs_f64(seconds);
-        for counted in [false, true] {
+        for is_counter in [false, true] {
             let mut history = History::new(Duration::from_millis(100));
-            let (mut at, mut joules) = (START, 0.0);
+            let mut at = START;
+            let mut joules = 0.0;
             let mut samples = Vec::new();
             for (seconds, number) in &steps {
                 at = whole(at + seconds);
                 joules += number;
-                let value = if counted { Value::Counter(joules) } else { Value::Power(*number) };
-                history.add(moment(at), &reading(value), |_, _| Vec::new());
-                samples.push((at, if counted { joules } else { *number }));
+                if is_counter {
+                    history.add(moment(at), &reading(Value::Counter(joules)), |_, _| Vec::new());
+                    samples.push(Point { at, value: joules });
+                } else {
+                    history.add(moment(at), &reading(Value::Power(*number)), |_, _| Vec::new());
+                    samples.push(Point { at, value: *number });
+                }
             }
-            let first = samples.first().map_or(START, |(at, _)| *at);
+            let first = samples.first().map_or(START, |point| point.at);
             let place = |share: f64| whole(first + share * (at - first).max(1.0));
-            let (start, end) = (place(a.min(b)), place(a.max(b)));
-            let total = |at: f64| history.at(moment(at)).total();
-            let (from, to) = (total(start), total(end));
-            let expected = integral(&samples, counted, start, end);
-            let found = (to.joules - from.joules, to.seconds - from.seconds);
-            let right = close(found.0, expected.joules) && close(found.1, expected.seconds);
-            prop_assert!(right, "{:?}, not {:?}, counted: {}", found, expected, counted);
+            let start = place(a.min(b));
+            let end = place(a.max(b));
+            let from = history.at(moment(start)).total();
+            let to = history.at(moment(end)).total();
+            let expected = integral(&samples, is_counter, start, end);
+            let found = Sum {
+                joules: to.joules - from.joules,
+                seconds: to.seconds - from.seconds,
+            };
+            let is_right = close(found.joules, expected.joules) && close(found.seconds, expected.seconds);
+            prop_assert!(is_right, "{:?}, not {:?}, counter: {}", found, expected, is_counter);
         }
     }
 }

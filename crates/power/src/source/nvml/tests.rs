@@ -3,8 +3,15 @@ use crate::tests::assert_contains;
 use std::sync::Mutex;
 use std::time::Duration;
 
-/// The energy (mJ) and the power (mW) that a card answers with; an error for a lost card.
-type Fake = Result<(Option<u64>, Option<u32>), String>;
+/// What a card answers with.
+#[derive(Clone)]
+struct Shown {
+    energy_mj: Option<u64>,
+    power_mw: Option<u32>,
+}
+
+/// A card; an error for a lost one.
+type Fake = Result<Shown, String>;
 
 #[derive(Clone)]
 struct FakeMachine(Arc<Mutex<Vec<Fake>>>);
@@ -33,11 +40,11 @@ impl Cards for FakeMachine {
     }
 
     fn energy_mj(&self, card: u32) -> Result<Option<u64>, String> {
-        self.card(card).map(|(energy, _)| energy)
+        self.card(card).map(|shown| shown.energy_mj)
     }
 
     fn power_mw(&self, card: u32) -> Result<Option<u32>, String> {
-        self.card(card).map(|(_, power)| power)
+        self.card(card).map(|shown| shown.power_mw)
     }
 
     fn condition(&self, card: u32) -> BoardState {
@@ -50,10 +57,25 @@ impl Cards for FakeMachine {
     }
 }
 
-const JETSON: Fake = Ok((None, None));
+const JETSON: Fake = Ok(Shown {
+    energy_mj: None,
+    power_mw: None,
+});
 
-fn counting(mj: u64) -> Fake {
-    Ok((Some(mj), Some(1)))
+/// A card that counts energy and draws 1 mW.
+fn counting(energy_mj: u64) -> Fake {
+    Ok(Shown {
+        energy_mj: Some(energy_mj),
+        power_mw: Some(1),
+    })
+}
+
+/// A card that shows its power and counts nothing.
+fn without_counter(power_mw: u32) -> Fake {
+    Ok(Shown {
+        energy_mj: None,
+        power_mw: Some(power_mw),
+    })
 }
 
 /// The second reading comes 1 s after the first; the first card becomes `next` in between.
@@ -62,7 +84,7 @@ fn counting(mj: u64) -> Fake {
     vec![counting(5_000), counting(7_000)], counting(65_000), Value::Counter(60.0)
 )]
 #[case::power_is_used_if_a_card_has_no_counter(
-    vec![counting(5_000), Ok((None, Some(75_500)))], counting(6_000), Value::Power(0.001 + 75.5)
+    vec![counting(5_000), without_counter(75_500)], counting(6_000), Value::Power(0.001 + 75.5)
 )]
 #[case::a_driver_reload_does_not_decrease_the_energy(
     vec![counting(9_000_000)], counting(10), Value::Counter(0.0)

@@ -59,8 +59,18 @@ fn machine(pci: usize, nvml: Option<&str>) -> Tree {
     tree
 }
 
-/// The source that `auto` takes, its quality, its origin, and its watts over the second in which the processor used 20 J.
-fn watch(tree: &Tree, source: PowerSource) -> (&'static str, EnergyQuality, String, f64) {
+/// A meter as it was read twice.
+struct Watched {
+    /// The source that was opened.
+    source: &'static str,
+    quality: EnergyQuality,
+    total_from: String,
+    /// The total over the second in which the processor used 20 J.
+    watts: f64,
+}
+
+/// Opens a source and reads it twice.
+fn watch(tree: &Tree, source: PowerSource) -> Watched {
     let config = PowerConfig {
         source,
         ..tree.config()
@@ -72,8 +82,12 @@ fn watch(tree: &Tree, source: PowerSource) -> (&'static str, EnergyQuality, Stri
     let last = meter.poll(start + Duration::from_secs(1)).unwrap().remove(0);
     let before = first.value(Domain::Total);
     let watts = last.value(Domain::Total).unwrap().mean_watts(before, 1.0);
-    let total_from = last.total_from.into_owned();
-    (source.as_str(), meter.quality(), total_from, watts.unwrap())
+    Watched {
+        source: source.as_str(),
+        quality: meter.quality(),
+        total_from: last.total_from.into_owned(),
+        watts: watts.unwrap(),
+    }
 }
 
 #[rstest]
@@ -151,20 +165,24 @@ fn all_parts_that_consume_much_are_added_or_the_figure_is_partial(
     #[case] watts: f64,
 ) {
     let found = watch(&machine(pci, nvml), PowerSource::Auto);
-    assert_eq!((found.0, found.1, &*found.2), (source, quality, total_from));
-    assert!((found.3 - watts).abs() < 1e-6, "{} W", found.3);
+    assert_eq!(found.source, source);
+    assert_eq!(found.quality, quality);
+    assert_eq!(found.total_from, total_from);
+    assert!((found.watts - watts).abs() < 1e-6, "{} W", found.watts);
 }
 
 #[test]
 fn a_meter_that_is_chosen_alone_says_what_it_leaves_out() {
     let tree = machine(1, Some("c"));
-    let (_, quality, total_from, watts) = watch(&tree, PowerSource::Rapl);
-    assert_eq!(quality, EnergyQuality::Partial);
-    assert_eq!((&*total_from, watts), ("processor, without card", 20.0));
+    let processor = watch(&tree, PowerSource::Rapl);
+    assert_eq!(processor.quality, EnergyQuality::Partial);
+    assert_eq!(processor.total_from, "processor, without card");
+    assert_eq!(processor.watts, 20.0);
 
-    let (_, quality, total_from, watts) = watch(&tree, PowerSource::Nvml);
-    assert_eq!(quality, EnergyQuality::Partial);
-    assert_eq!((&*total_from, watts), ("card, without processor", 60.0));
+    let card = watch(&tree, PowerSource::Nvml);
+    assert_eq!(card.quality, EnergyQuality::Partial);
+    assert_eq!(card.total_from, "card, without processor");
+    assert_eq!(card.watts, 60.0);
 }
 
 #[test]
@@ -180,6 +198,7 @@ fn cards_without_a_readable_processor_are_partial() {
 fn beside_a_card_the_platform_counter_is_not_used() {
     let tree = machine(1, Some("c"));
     tree.rapl("intel-rapl:1", "psys", 0);
-    let (_, _, total_from, watts) = watch(&tree, PowerSource::Auto);
-    assert_eq!((&*total_from, watts), ("processor + card", 80.0));
+    let found = watch(&tree, PowerSource::Auto);
+    assert_eq!(found.total_from, "processor + card");
+    assert_eq!(found.watts, 80.0);
 }

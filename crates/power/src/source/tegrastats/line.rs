@@ -13,7 +13,8 @@ pub fn tegrastats_rails(line: &str) -> Option<Vec<RailWatts>> {
     }
     let mut rails = Vec::new();
     for pair in words.windows(2) {
-        let [name, value] = [pair[0], pair[1]];
+        let name = pair[0];
+        let value = pair[1];
         if is_name(name)
             && name != "NC"
             && let Some(watts) = watts(value)
