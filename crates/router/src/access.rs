@@ -214,9 +214,10 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         return other("there is no valid certificate: nobody would have access");
     }
     // Zenoh warns about rules that no policy names.
-    rules
-        .made
-        .retain(|rule| rule["id"].as_str().is_some_and(|id| named.contains(id)));
+    rules.made.retain(|rule| match rule["id"].as_str() {
+        Some(id) => named.contains(id),
+        None => false,
+    });
     Ok(json!({
         "enabled": true,
         "default_permission": "deny",
@@ -250,19 +251,20 @@ mod tests {
             entry(Role::Hub, "hub", 1, None),
         ];
         let all: Vec<_> = entries.iter().collect();
-        let access = rules(&all, "fleet/north", false).unwrap();
+        let rules_with = |pictures: bool| rules(&all, "fleet/north", pictures).unwrap();
+        let access = rules_with(false);
         assert_eq!(access["default_permission"], "deny");
         let text = access["rules"].to_string();
         assert!(text.contains("\"fleet/north/car-7/*/counters\""), "{text}");
         assert!(!text.contains("routers"), "no router has a certificate");
         assert!(!text.contains("picture"), "nobody asked for pictures");
-        let with_pictures = rules(&all, "fleet/north", true).unwrap();
-        for (access, shows) in [(access, false), (with_pictures, true)] {
+        for pictures in [false, true] {
+            let access = rules_with(pictures);
             let mut policies = access["policies"].as_array().unwrap().iter();
-            let own = policies.find(|one| one["subjects"][0] == "node/car-7/2").unwrap()["rules"]
-                .to_string();
+            let of_the_node = policies.find(|one| one["subjects"][0] == "node/car-7/2").unwrap();
+            let own = of_the_node["rules"].to_string();
             assert!(!own.contains("hub "), "{own}");
-            assert_eq!(own.contains("car-7 shows pictures"), shows, "{own}");
+            assert_eq!(own.contains("car-7 shows pictures"), pictures, "{own}");
         }
     }
 

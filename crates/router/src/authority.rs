@@ -31,8 +31,8 @@ const AUTHORITY_KEY: &str = "authority.key";
 /// One day.
 pub const DAY: Duration = Duration::from_secs(86_400);
 
-/// The start of a certificate's validity before now, seconds: the clock of a board that just booted may be behind.
-const REACH_BACK: i64 = 86_400;
+/// How long before its creation a certificate is valid already, seconds: the clock of a board that just booted may be behind.
+const VALID_BEFORE_S: i64 = 86_400;
 
 /// A new certificate: its paths and its entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -113,7 +113,7 @@ impl Authority {
         lasts: Duration,
     ) -> Result<Issued, RouterError> {
         albireo_wire::check_segment("name", name)?;
-        if self.list.good(role, name).is_ok() {
+        if self.list.unrevoked(role, name).is_ok() {
             return other(format!(
                 "{role} `{name}` has a certificate that is not revoked; renew it, or revoke it first"
             ));
@@ -139,7 +139,7 @@ impl Authority {
         name: &str,
         lasts: Duration,
     ) -> Result<Issued, RouterError> {
-        let entry = self.list.good(role, name)?.clone();
+        let entry = self.list.unrevoked(role, name)?.clone();
         self.make(entry, lasts)
     }
 
@@ -148,7 +148,7 @@ impl Authority {
     /// # Errors
     /// [`RouterError`] if there is no valid one or the list cannot be written.
     pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, RouterError> {
-        let mut entry = self.list.good(role, name)?.clone();
+        let mut entry = self.list.unrevoked(role, name)?.clone();
         entry.revoked_s = Some(unix_milliseconds() / 1000);
         self.list.put(entry.clone())?;
         Ok(entry)
@@ -178,8 +178,9 @@ impl Authority {
             entry,
         };
         create_folder(&self.folder.join(issued.entry.role.to_string()))?;
-        // The key first: of a new holder, a key without its certificate is better than the contrary. A renewal that
-        // fails between the two must be repeated, for the old certificate does not fit the new key.
+        // The key is written first: if the second write fails, a new holder has a key without a certificate, and nobody takes
+        // the certificate for a usable one. A renewal that fails between the two must be repeated, because the old certificate
+        // does not fit the new key.
         write(&issued.key, &key.serialize_pem(), PRIVATE)?;
         write(&issued.certificate, &certificate.pem(), PUBLIC)?;
         self.list.put(issued.entry.clone())?;
@@ -213,9 +214,9 @@ fn create_folder(folder: &Path) -> Result<(), RouterError> {
         .map_err(at(folder))
 }
 
-/// The permissions of a file that only its owner may read, and of one that all may.
+/// The permissions of a file that only its owner may read.
 pub(crate) const PRIVATE: u32 = 0o600;
-/// See [`PRIVATE`].
+/// The permissions of a file that every user may read.
 pub const PUBLIC: u32 = 0o644;
 
 /// Writes a file with these permissions atomically and syncs it.
@@ -254,19 +255,16 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
         .ok_or_else(|| about(file, "the certificate has no common name"))
 }
 
-/// Sets the validity: from a day ago, see [`REACH_BACK`], until `lasts` from now. Returns its end in seconds since the
-/// Unix epoch.
+/// Sets the validity: from [`VALID_BEFORE_S`] ago until `lasts` from now. Returns its end in seconds since the Unix epoch.
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
-    let no_time = || RouterError::Other("a certificate cannot contain that time".to_owned());
-    let now = unix_milliseconds() / 1000;
-    let ends = i64::try_from(lasts.as_secs())
-        .ok()
-        .and_then(|lasts| now.checked_add(lasts))
-        .ok_or_else(no_time)?;
-    let time = |unix_s| ASN1Time::from_timestamp(unix_s).map_err(|_| no_time());
-    params.not_before = time(now - REACH_BACK)?.to_datetime();
-    params.not_after = time(ends)?.to_datetime();
-    Ok(ends)
+    let too_late = || RouterError::Other("a certificate cannot contain that time".to_owned());
+    let now_s = unix_milliseconds() / 1000;
+    let lasts_s = i64::try_from(lasts.as_secs()).map_err(|_| too_late())?;
+    let ends_s = now_s.checked_add(lasts_s).ok_or_else(too_late)?;
+    let time = |unix_s| ASN1Time::from_timestamp(unix_s).map_err(|_| too_late());
+    params.not_before = time(now_s - VALID_BEFORE_S)?.to_datetime();
+    params.not_after = time(ends_s)?.to_datetime();
+    Ok(ends_s)
 }
 
 #[cfg(test)]

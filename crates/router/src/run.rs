@@ -149,7 +149,7 @@ async fn route(
     view: &RouterView,
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
-    let of_router = config.clone();
+    let router_config = config.clone();
     let access_control = is_true(&config, "access_control/enabled");
     let session = session::attempt(config).await.map_err(|reason| {
         let key = format!("listen/endpoints in {}", options.config.display());
@@ -182,7 +182,7 @@ async fn route(
     ));
     if let Some(endpoint) = endpoints.first() {
         let period = Duration::from_secs(options.probe_s);
-        let probing = view.probes.run(&of_router, endpoint, period);
+        let probing = view.probes.run(&router_config, endpoint, period);
         shutdown.run_until_cancelled(probing).await;
     }
     shutdown.cancelled().await;

@@ -1,7 +1,7 @@
 //! Keeps the list of the certificates that an authority has issued.
 
 use super::{PRIVATE, read, write};
-use crate::error::{RouterError, about, at};
+use crate::error::{RouterError, about, at, other};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -118,22 +118,25 @@ impl List {
         &self.stored.issued
     }
 
-    fn of(&self, role: Role, name: &str) -> impl Iterator<Item = &Entry> {
-        let of_it = move |entry: &&Entry| entry.role == role && entry.name == name;
-        self.stored.issued.iter().filter(of_it)
+    /// All entries with this role and name, revoked or not.
+    fn entries_of(&self, role: Role, name: &str) -> impl Iterator<Item = &Entry> {
+        let issued = self.stored.issued.iter();
+        issued.filter(move |entry| entry.role == role && entry.name == name)
     }
 
     /// The unrevoked entry with this role and name.
-    pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
-        self.of(role, name).find(|entry| entry.revoked_s.is_none()).ok_or_else(|| {
-            let reason = format!("{role} `{name}` has no valid certificate");
-            RouterError::Other(reason)
-        })
+    pub(super) fn unrevoked(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
+        let mut entries = self.entries_of(role, name);
+        match entries.find(|entry| entry.revoked_s.is_none()) {
+            Some(entry) => Ok(entry),
+            None => other(format!("{role} `{name}` has no valid certificate")),
+        }
     }
 
     /// The highest issue with this role and name; 0 if there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
-        self.of(role, name).map(|entry| entry.issue).max().unwrap_or(0)
+        let issues = self.entries_of(role, name).map(|entry| entry.issue);
+        issues.max().unwrap_or(0)
     }
 
     /// Adds an entry, replacing one with the same common name, and writes the list.
