@@ -184,22 +184,20 @@ impl RecordingFile {
         if let Some(known) = self.channels.get(&name) {
             return Ok(*known);
         }
-        let (encoding, schema) = match topic.json_schema() {
+        let encoding;
+        let schema;
+        match topic.json_schema() {
             Some(json) => {
                 let text = json.to_string().into_bytes();
-                (
-                    "json",
-                    self.writer.add_schema(topic.schema(), "jsonschema", &text)?,
-                )
+                encoding = "json";
+                schema = self.writer.add_schema(topic.schema(), "jsonschema", &text)?;
             }
             None => {
                 let text = schema::protobuf();
-                (
-                    "protobuf",
-                    self.writer.add_schema(topic.schema(), "protobuf", &text)?,
-                )
+                encoding = "protobuf";
+                schema = self.writer.add_schema(topic.schema(), "protobuf", &text)?;
             }
-        };
+        }
         let no_metadata = BTreeMap::new();
         let channel = self.writer.add_channel(schema, &name, encoding, &no_metadata)?;
         self.channels.insert(name, channel);

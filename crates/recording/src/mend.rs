@@ -27,8 +27,8 @@ pub enum Mended {
     Removed,
 }
 
-/// Writes a recording that has no end anew, with what is whole in it. The new file takes the place of the old one once
-/// it is on the disk; until then both need room.
+/// Copies what is whole in a recording without an end into a new file, which replaces the old one once it is on the disk;
+/// until then both need room.
 ///
 /// # Errors
 /// If the disk refuses: the file is as it was.
@@ -39,7 +39,7 @@ pub fn mend(path: &Path) -> Result<Mended, RecordingError> {
     let mut name = OsString::from(path);
     name.push(".part");
     let part = Path::new(&name);
-    // There may be one of a mending that was cut itself.
+    // An earlier call that was cut itself may have left one.
     let _ = remove_file(part);
     match copy_whole(path, part) {
         Ok(0) => {

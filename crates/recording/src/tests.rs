@@ -190,7 +190,7 @@ fn every_field_of_a_message_is_in_its_schema() {
     let schema = Topic::Detections.json_schema().unwrap();
     for (field, value) in value.as_object().unwrap() {
         let known = &schema["properties"][field];
-        let is = if value.is_string() {
+        let written_type = if value.is_string() {
             "string"
         } else if value.is_boolean() {
             "boolean"
@@ -203,7 +203,7 @@ fn every_field_of_a_message_is_in_its_schema() {
         } else {
             "object"
         };
-        assert_eq!(known["type"], is, "{field}");
+        assert_eq!(known["type"], written_type, "{field}");
     }
     let one = &value["boxes"][0];
     let known = &schema["properties"]["boxes"]["items"]["properties"];
