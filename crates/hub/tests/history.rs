@@ -8,8 +8,16 @@ use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
 use albireo_wire::{Target, Threshold};
 use rstest::rstest;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
+
+/// Sums of clips.
+#[derive(Debug, Default, PartialEq)]
+struct Sums {
+    /// Whole, so that the order of the sum does not matter.
+    microjoules: i64,
+    frames: i64,
+}
 
 async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     let hub = Hub::start(config(database)).await;
@@ -18,38 +26,44 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
             hub.store(node, first..=first + 49).await;
         }
     }
-    let clips = hub.get("/api/v1/clips?limit=1000").await;
-    let clips = clips["clips"].as_array().unwrap();
+    let page = hub.get("/api/v1/clips?limit=1000").await;
+    let clips = page["clips"].as_array().unwrap();
     assert_eq!(clips.len(), 400);
-    // In whole microjoules, so that the order does not matter.
-    let uj = |joules: &serde_json::Value| (joules.as_f64().unwrap() * 1e6).round() as i64;
-    let mut raw: BTreeMap<(String, String), (i64, i64)> = BTreeMap::new();
+    let microjoules = |joules: &Value| (joules.as_f64().unwrap() * 1e6).round() as i64;
+    let mut of_clips: BTreeMap<(String, String), Sums> = BTreeMap::new();
     for clip in clips {
         let key = (clip["node"].to_string(), clip["quality"].to_string());
-        let sum = raw.entry(key).or_default();
-        sum.0 += uj(&clip["joules"]);
-        sum.1 += clip["frames"].as_i64().unwrap();
+        let sums = of_clips.entry(key).or_default();
+        sums.microjoules += microjoules(&clip["joules"]);
+        sums.frames += clip["frames"].as_i64().unwrap();
     }
-    assert_eq!(raw.len(), 6);
+    assert_eq!(of_clips.len(), 6);
     let day = 86_400_000;
     let now_ms = i64::try_from(now_ns() / 1_000_000).unwrap();
     let since = now_ms / day * day - 3 * day;
-    let times = [since, since + 300_000, since - 12 * day - 1];
-    for (since, resolution) in times.into_iter().zip(["hour", "five_minutes", "hour"]) {
+    for (since, resolution) in [
+        (since, "hour"),
+        (since + 300_000, "five_minutes"),
+        // Older than the sums over five minutes.
+        (since - 12 * day - 1, "hour"),
+    ] {
         let path = format!("/api/v1/energy?by=node&since_ms={since}");
         let energy = hub.get(&path).await;
         assert_eq!(energy["resolution"], resolution);
-        let mut sums = BTreeMap::new();
+        let mut served = BTreeMap::new();
         for group in energy["groups"].as_array().unwrap() {
             let key = (group["group"].to_string(), group["quality"].to_string());
-            let sum = (uj(&group["joules"]), group["frames"].as_i64().unwrap());
-            assert!(sums.insert(key, sum).is_none());
+            let sums = Sums {
+                microjoules: microjoules(&group["joules"]),
+                frames: group["frames"].as_i64().unwrap(),
+            };
+            assert_eq!(served.insert(key, sums), None, "each group comes once");
             let clips = &group["clips"];
             let saved = &group["saved_joules_estimated"];
             assert_eq!(saved.as_f64().unwrap(), 12.5 * clips.as_f64().unwrap());
             assert_eq!(group["unpriced_calls"], 0);
         }
-        assert_eq!(sums, raw, "{resolution}");
+        assert_eq!(served, of_clips, "{resolution}");
     }
     // The audit of the fleet counts all clips together, with energy of any quality.
     let path = format!("/api/v1/energy?by=all&since_ms={since}");
@@ -325,8 +339,8 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
         assert_eq!(hub.get(path).await, before, "{path}");
     }
     let imported = hub.pull("sim-000001").await;
-    let expected = (desired.revision, desired.setting);
-    assert_eq!((imported.revision, imported.setting), expected);
+    assert_eq!(imported.revision, desired.revision);
+    assert_eq!(imported.setting, desired.setting);
     // Reports stored before are known; new ones get new ids.
     hub.store("car-1", 1150..=1249).await;
     assert_eq!(hub.counts("car-1").await.len(), 1000);

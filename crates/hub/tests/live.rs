@@ -117,9 +117,9 @@ async fn the_index_lists_every_documented_route() {
     }
     for (path, methods) in described["paths"].as_object().unwrap() {
         for method in methods.as_object().unwrap().keys() {
-            let of =
+            let is_this_one =
                 |route: &Value| route["path"] == *path && route["method"] == *method.to_uppercase();
-            assert!(routes.iter().any(of), "{method} {path}");
+            assert!(routes.iter().any(is_this_one), "{method} {path}");
         }
     }
     hub.stop().await;

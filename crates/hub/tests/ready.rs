@@ -1,24 +1,12 @@
 //! A hub is ready if reports get through, whatever the reason that they do not.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, Reply, batch, config, free_port, names, on_both};
+use crate::support::{Hub, Reply, batch, config, free_port, names, on_both, script};
 use albireo_wire::RefusalReason;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
 use std::time::{Duration, Instant};
-
-/// Executes statements on another connection to the hub's database.
-async fn execute(database: &str, statements: &'static str) {
-    use sqlx::{Connection as _, Executor as _};
-    if let Some(file) = database.strip_prefix("sqlite:") {
-        let connection = rusqlite::Connection::open(file).unwrap();
-        connection.execute_batch(statements).unwrap();
-    } else {
-        let mut connection = sqlx::PgConnection::connect(database).await.unwrap();
-        connection.execute(sqlx::raw_sql(statements)).await.unwrap();
-    }
-}
 
 async fn assert_unavailable(hub: &Hub, node: &str) {
     match hub.deliver(&batch(node, 1..=2)).await {
@@ -58,12 +46,12 @@ async fn assert_stays_not_ready(hub: &Hub, commits_more: u64) -> Value {
 async fn a_hub_that_can_store_no_report_is_not_ready_until_it_stores_one(database: &str) {
     let hub = Hub::start(config(database)).await;
     hub.store("car-1", 1..=2).await;
-    execute(database, "ALTER TABLE sums_hour RENAME TO hidden").await;
+    script(database, "ALTER TABLE sums_hour RENAME TO hidden").await;
     assert_unavailable(&hub, "car-2").await;
     let page = assert_stays_not_ready(&hub, 5).await;
     let why = page["reasons"]["database"].as_str().unwrap();
     assert!(why.contains("sums_hour"), "{why}");
-    execute(database, "ALTER TABLE hidden RENAME TO sums_hour").await;
+    script(database, "ALTER TABLE hidden RENAME TO sums_hour").await;
     hub.store("car-2", 1..=2).await;
     let page = hub.get("/readyz").await;
     assert_eq!(page["ready"], true, "{page}");
@@ -227,19 +215,19 @@ async fn postgres_a_server_that_became_read_only_makes_a_hub_not_ready() {
 #[ignore = "needs PostgreSQL"]
 async fn postgres_revoked_rights_make_a_hub_not_ready_until_they_are_back() {
     let server = Postgres::start();
-    let of_all = server.url();
-    execute(&of_all, "CREATE ROLE fleet LOGIN").await;
-    execute(&of_all, "CREATE DATABASE fleet OWNER fleet").await;
-    let (address, _) = of_all.rsplit_once('/').unwrap();
-    let own = format!("{}/fleet", address.replace("hub@", "fleet@"));
-    let hub = Hub::start(config(&own)).await;
+    let as_owner = server.url();
+    script(&as_owner, "CREATE ROLE fleet LOGIN").await;
+    script(&as_owner, "CREATE DATABASE fleet OWNER fleet").await;
+    let (address, _) = as_owner.rsplit_once('/').unwrap();
+    let as_fleet = format!("{}/fleet", address.replace("hub@", "fleet@"));
+    let hub = Hub::start(config(&as_fleet)).await;
     hub.store("car-1", 1..=2).await;
-    execute(&own, "REVOKE INSERT ON clips FROM fleet").await;
+    script(&as_fleet, "REVOKE INSERT ON clips FROM fleet").await;
     assert_unavailable(&hub, "car-2").await;
     let page = assert_stays_not_ready(&hub, 5).await;
     let why = page["reasons"]["database"].as_str().unwrap();
     assert!(why.contains("permission denied for table clips"), "{why}");
-    execute(&own, "GRANT INSERT ON clips TO fleet").await;
+    script(&as_fleet, "GRANT INSERT ON clips TO fleet").await;
     hub.store("car-2", 1..=2).await;
     let page = hub.get("/readyz").await;
     assert_eq!(page["ready"], true, "{page}");

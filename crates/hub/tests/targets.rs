@@ -76,7 +76,8 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let from = json!({"target": wanted});
     assert_eq!(answer["nodes"][0]["from"], from, "{answer}");
     let nodes = hub.get("/api/v1/nodes").await;
-    assert_eq!((&held(&nodes)[0], values(&nodes)[0]), (off, 5e-4));
+    assert_eq!(held(&nodes)[0], *off);
+    assert_eq!(values(&nodes)[0], 5e-4);
     let value = answer["revision"].as_u64().unwrap();
     assert!(value > change);
     let revisions = hub.get("/api/v1/revisions?node=sim-000000").await;
@@ -96,7 +97,8 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let counts = json!({"applied": 1, "unchanged": 1});
     hold(&hub, off, "sim-000000,sim-000003", counts).await;
     let nodes = hub.get("/api/v1/nodes").await;
-    assert_eq!((&held(&nodes)[0], values(&nodes)), (off, before));
+    assert_eq!(held(&nodes)[0], *off);
+    assert_eq!(values(&nodes), before);
 
     // A value out of range is refused by the node, with its reason.
     let last = |u: f64| json!({"u": u, "select": ["sim-000005"]});
@@ -121,7 +123,8 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
                 && values(nodes)[5] == 5e-4
         })
         .await;
-    assert_eq!((&held(&nodes)[0], &held(&nodes)[3]), (off, off));
+    assert_eq!(held(&nodes)[0], *off);
+    assert_eq!(held(&nodes)[3], *off);
     let answer = put(&hub, last(1e-4), applied).await;
     assert!(answer["revision"].as_u64() > revision, "{answer}");
 

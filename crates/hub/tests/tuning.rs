@@ -304,8 +304,8 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     assert_eq!(origins, ["rollout 1"; 3], "{revisions}");
 
     // The first value changes so many frames that the difference is far above any noise.
-    let of = |values: Value, s: u64| json!({"values": values, "select": ["all"], "duration_s": s, "seed": 1});
-    let plan = of(json!([{"u": 1e-5}, {"u": 3.5e-4}]), 5);
+    let trial_of = |values: Value, seconds: u64| json!({"values": values, "select": ["all"], "duration_s": seconds, "seed": 1});
+    let plan = trial_of(json!([{"u": 1e-5}, {"u": 3.5e-4}]), 5);
     let trial = begin(&hub, "/api/v1/trials", plan).await;
     assert_eq!(trial["id"], 1, "{trial}");
     let is_done = |trial: &Value| trial["phase"] == "done";
@@ -317,7 +317,7 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     let difference = &joules.unwrap()["difference"];
     assert!(difference["upper"].as_f64().unwrap() < 0.0, "{done}");
     all_have(&hub, 20, 3e-4).await;
-    let plan = of(json!([{"u": 1e-5}, {"u": 1e-2}]), 600);
+    let plan = trial_of(json!([{"u": 1e-5}, {"u": 1e-2}]), 600);
     begin(&hub, "/api/v1/trials", plan).await;
     command(&hub, "/api/v1/trials/2/end", StatusCode::OK).await;
     hub.until("/api/v1/trials/2", is_done).await;

@@ -162,8 +162,8 @@ impl Hub {
 
     pub(crate) async fn counts(&self, node: &str) -> Vec<u64> {
         let path = format!("/api/v1/clips?node={node}&limit=1000");
-        let clips = self.get(&path).await;
-        let clips = clips["clips"].as_array().unwrap().iter();
+        let page = self.get(&path).await;
+        let clips = page["clips"].as_array().unwrap().iter();
         let mut counts: Vec<u64> = clips.map(|clip| clip["count"].as_u64().unwrap()).collect();
         counts.sort_unstable();
         counts
@@ -255,7 +255,7 @@ pub(crate) fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> Statu
     }
 }
 
-/// Runs statements in a database that no hub has open.
+/// Runs statements over a connection of its own.
 pub(crate) async fn script(url: &str, statements: &'static str) {
     if let Some(file) = url.strip_prefix("sqlite:") {
         let database = rusqlite::Connection::open(file).unwrap();

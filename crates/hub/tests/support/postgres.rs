@@ -97,20 +97,23 @@ impl Postgres {
 
     /// Kills the server with SIGKILL: changes not yet in its log are lost.
     pub(crate) fn kill(&self) {
-        let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
-        let id = first.lines().next().unwrap().to_owned();
-        let kill =
-            |signal: &str| Command::new("kill").args([signal, id.as_str()]).status().unwrap();
+        let id = self.process_id();
         // Stopped first, it starts no child that would outlive it and keep its shared memory.
         self.signal("-STOP");
         let _ = Command::new("pkill").args(["-9", "-P", &id]).status();
-        assert!(kill("-9").success(), "the server's process {id} is killed");
+        let killed = Command::new("kill").args(["-9", &id]).status().unwrap();
+        assert!(killed.success(), "the server's process {id} is killed");
+    }
+
+    /// The id of the server's first process, which started the others.
+    fn process_id(&self) -> String {
+        let file = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
+        file.lines().next().unwrap().to_owned()
     }
 
     /// Sends a signal to every process of the server: `-STOP` freezes it, `-CONT` lets it go on.
     pub(crate) fn signal(&self, signal: &str) {
-        let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
-        let id = first.lines().next().unwrap().to_owned();
+        let id = self.process_id();
         let parent = Command::new("kill").args([signal, id.as_str()]).status();
         assert!(parent.unwrap().success(), "the server's process {id} runs");
         let children = Command::new("pkill").args([signal, "-P", &id]).status();
