@@ -53,53 +53,70 @@ pub(super) async fn page(hub: &Hub) -> MetricsPage {
     page
 }
 
-fn presence(page: &mut MetricsPage, hub: &Hub) {
-    let mut missing = 0;
-    let mut behind = 0_u32;
-    let mut waiting = 0;
-    let mut targets = [0; TargetStatus::ALL.len()];
+/// What the nodes of the fleet add up to.
+#[derive(Default)]
+struct FleetCounts {
+    /// Nodes out of reach that are always expected.
+    missing: u32,
+    /// Nodes in reach without their desired setting.
+    behind: u32,
+    /// Reports that wait in outboxes.
+    waiting: u64,
+    /// Nodes with a certificate that ends within seven days.
+    within_7_days: u32,
+    /// Nodes with a certificate that ends within thirty days.
+    within_30_days: u32,
+    /// Nodes in reach that hold a target, in the order of [`TargetStatus::ALL`].
+    targets: [u32; TargetStatus::ALL.len()],
+}
+
+fn count_fleet(hub: &Hub) -> FleetCounts {
+    let mut counts = FleetCounts::default();
     let now_s = unix_milliseconds().div_euclid(1000);
-    let mut within_7_days = 0_u32;
-    let mut within_30_days = 0_u32;
     hub.fleet.each(|node| {
-        waiting += node.waiting;
+        counts.waiting += node.waiting;
         let certificates = node.status.iter().flat_map(|status| &status.certificates);
         if let Some(first_s) = certificates.map(|one| one.until_s).min() {
             let left_s = first_s.saturating_sub(now_s);
-            within_7_days += u32::from(left_s < 7 * DAY_S);
-            within_30_days += u32::from(left_s < 30 * DAY_S);
+            counts.within_7_days += u32::from(left_s < 7 * DAY_S);
+            counts.within_30_days += u32::from(left_s < 30 * DAY_S);
         }
         if !node.is_reachable() {
             let expected = node.labels().get("expected");
-            missing += u32::from(expected.is_some_and(|when| when == "always"));
+            counts.missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
         if let Some(desired) = hub.desired.get(&node.node)
             && node.revision < desired.given.revision
         {
-            behind += 1;
+            counts.behind += 1;
         }
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
-            targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
+            counts.targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
         }
     });
+    counts
+}
+
+fn presence(page: &mut MetricsPage, hub: &Hub) {
+    let counts = count_fleet(hub);
     page.gauge(
         "albireo_hub_nodes_missing",
         "Silent or offline nodes with the label expected = \"always\"",
-        f64::from(missing),
+        f64::from(counts.missing),
     );
     page.gauges(
         "albireo_hub_nodes_certificate_ending",
         "Nodes with a certificate that ends within this time, or has ended, by their last status",
         [
-            ([("within", "7d")], f64::from(within_7_days)),
-            ([("within", "30d")], f64::from(within_30_days)),
+            ([("within", "7d")], f64::from(counts.within_7_days)),
+            ([("within", "30d")], f64::from(counts.within_30_days)),
         ],
     );
     page.gauge(
         "albireo_hub_nodes_behind",
         "Online or degraded nodes that do not have their desired setting yet",
-        f64::from(behind),
+        f64::from(counts.behind),
     );
     page.gauge(
         "albireo_hub_nodes_drifted",
@@ -123,7 +140,7 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
     page.gauge(
         "albireo_hub_outbox_waiting",
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",
-        waiting as f64,
+        counts.waiting as f64,
     );
     let states = hub.fleet.by_state().into_iter();
     page.gauges(
@@ -131,7 +148,7 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
         "Nodes by state",
         states.map(|(state, nodes)| ([("state", state.name())], nodes as f64)),
     );
-    let targets = TargetStatus::ALL.into_iter().zip(targets);
+    let targets = TargetStatus::ALL.into_iter().zip(counts.targets);
     page.gauges(
         "albireo_hub_targets",
         "Online or degraded nodes that hold a target, by its status",
