@@ -63,12 +63,9 @@ impl DatabaseConfig {
     /// The passwords in the URL: the user's, and any in the parameters.
     pub(crate) fn passwords(&self) -> impl Iterator<Item = &str> {
         let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
-        let behind_scheme = place.split_once("://").map_or("", |(_, rest)| rest);
-        let login = behind_scheme.rsplit_once('@').map_or("", |(login, _)| login);
-        let user = login.split_once(':');
-        let parameters = parameters.split('&').filter_map(|one| one.split_once('='));
-        let named = parameters.filter(|(name, _)| *name == "password");
-        user.into_iter().chain(named).map(|(_, secret)| secret)
+        let of_user = password_of_user(place);
+        let others = parameters.split('&').filter_map(|one| one.strip_prefix("password="));
+        of_user.into_iter().chain(others)
     }
 
     pub(super) fn check(&self, findings: &mut Findings) {
@@ -82,6 +79,14 @@ impl DatabaseConfig {
         };
         findings.add("database.url", fault);
     }
+}
+
+/// The password in `postgres://USER:PASSWORD@HOST/DATABASE`.
+fn password_of_user(place: &str) -> Option<&str> {
+    let (_scheme, behind_scheme) = place.split_once("://")?;
+    let (login, _host) = behind_scheme.rsplit_once('@')?;
+    let (_user, password) = login.split_once(':')?;
+    Some(password)
 }
 
 /// The commits and limits of incoming reports: the `[ingest]` section.
