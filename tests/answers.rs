@@ -73,18 +73,18 @@ impl Drive {
         for picture in pictures.iter().cycle().take(2000) {
             pace.tick().await;
             self.frame(picture, "drive").await;
-            let mut came = false;
+            let mut has_come = false;
             let mut messages = taken(&mut self.late);
             // However slow the machine is, a run lasts no longer than some frames: an object's box is not kept for ever.
             if messages.is_empty() && self.ahead() > MOST_AHEAD {
                 messages.push(next(&mut self.late).await);
             }
             for message in messages {
-                came |= is_wanted(&message);
+                has_come |= is_wanted(&message);
                 most_ahead = most_ahead.max(self.live.len() as u64 - 1 - message.seq);
                 assert!(self.finals.insert(message.seq, message).is_none());
             }
-            if came {
+            if has_come {
                 return most_ahead;
             }
         }
@@ -108,7 +108,7 @@ impl Drive {
     }
 
     /// Stops the node, and checks the invariants that hold in any state of the detector.
-    async fn stop(mut self) -> (Self, Vec<SettledMessage>, Vec<ClipReport>) {
+    async fn stop(mut self) -> EndedDrive {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
         (&mut self.bench.stopped).await.unwrap().unwrap();
@@ -154,8 +154,21 @@ impl Drive {
         assert_eq!(reported(|report| report.degraded_frames), degraded);
         let order: Vec<u64> = settled.iter().map(|frame| frame.seq).collect();
         assert_eq!(order, (0..frames).collect::<Vec<_>>());
-        (self, settled, reports)
+        EndedDrive {
+            live: self.live,
+            finals: self.finals,
+            settled,
+            reports,
+        }
     }
+}
+
+/// What a drive whose node has stopped was told.
+struct EndedDrive {
+    live: Vec<DetectionsMessage>,
+    finals: BTreeMap<u64, DetectionsMessage>,
+    settled: Vec<SettledMessage>,
+    reports: Vec<ClipReport>,
 }
 
 #[rstest]
@@ -182,11 +195,11 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         let half = scene[0][..scene[0].len() / 2].to_vec();
         drive.until(&[half], |late| late.degraded).await;
         drive.until(&scene, is_seen).await;
-        let (drive, settled, _) = drive.stop().await;
+        let ended = drive.stop().await;
         let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();
-        let predicted = drive.live.iter().filter(is_predicted).count();
+        let predicted = ended.live.iter().filter(is_predicted).count();
         assert!(predicted > 5, "{policy}: {predicted} predicted");
-        let drawn = settled.iter().filter(|frame| frame.settled).count();
+        let drawn = ended.settled.iter().filter(|frame| frame.settled).count();
         assert!(drawn > 5, "{policy}: {drawn} settled");
     }
 }
@@ -205,8 +218,8 @@ async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {
     drive.frame(&picture, "a").await;
     assert!(drive.live[0].pending);
     drive.frame(&picture, "b").await;
-    let (drive, _, reports) = drive.stop().await;
-    let clips = reports.iter().map(|report| (&*report.clip, report.frames));
+    let ended = drive.stop().await;
+    let clips = ended.reports.iter().map(|report| (&*report.clip, report.frames));
     assert_eq!(clips.collect::<Vec<_>>(), [("a", 1), ("b", 1)]);
-    assert!(drive.finals[&0].state != FrameState::P, "it was examined");
+    assert!(ended.finals[&0].state != FrameState::P, "it was examined");
 }

@@ -13,13 +13,15 @@ fn compare(development: &str, arguments: &[&str]) -> Ended {
     run(&arguments, &[("ALBIREO_DEVELOPMENT", development)])
 }
 
-/// Compares vanilla and albireo with that `[power]` section; returns the printed words, the progress and the report.
-fn compared(
-    folder: &Path,
-    power: &str,
-    development: &str,
-    more: &[&str],
-) -> (String, String, Value) {
+struct Compared {
+    /// What was printed.
+    words: String,
+    progress: String,
+    report: Value,
+}
+
+/// Compares vanilla and albireo with that `[power]` section.
+fn compared(folder: &Path, power: &str, development: &str, more: &[&str]) -> Compared {
     let config = folder.join("node.toml");
     let out = folder.join("out");
     let model = project("models/yolox_nano.onnx");
@@ -38,7 +40,11 @@ fn compared(
     let report = serde_json::from_str(&read("compare.json")).unwrap();
     // Lines may wrap anywhere.
     let words: Vec<_> = said.split_whitespace().collect();
-    (words.join(" "), progress, report)
+    Compared {
+        words: words.join(" "),
+        progress,
+        report,
+    }
 }
 
 fn report(run: &Value) -> ClipReport {
@@ -52,7 +58,11 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
     let power = "source = \"estimate\"";
     // Ten frames per second, which the detector keeps up with on a busy machine.
     let slowly = ["--speed", "0.4"];
-    let (words, progress, found) = compared(folder.path(), power, "", &slowly);
+    let Compared {
+        words,
+        progress,
+        report: found,
+    } = compared(folder.path(), power, "", &slowly);
     assert_contains(&words, &["There is no power meter here", "ESTIMATED"]);
     // Without a terminal for a progress bar, one line per run reports the progress.
     assert_contains(&progress, &["run 4 of 4, vanilla …"]);
@@ -109,7 +119,12 @@ fn the_boards_own_meter_is_read_in_every_run() {
     let sysfs = board(folder.path());
     let nvpmodel = fake_nvpmodel(folder.path());
     let constants = format!("sysfs={} nvpmodel={}", sysfs.display(), nvpmodel.display());
-    let (words, _, found) = compared(folder.path(), &power, &constants, &["--unpaced"]);
+    let compared = compared(folder.path(), &power, &constants, &["--unpaced"]);
+    let Compared {
+        words,
+        report: found,
+        ..
+    } = compared;
     assert!(!words.contains("ESTIMATED"), "{words}");
     assert_contains(&words, &["Energy is measured by `tegrastats`"]);
     assert_contains(&words, &["Power mode: MODE_30W."]);

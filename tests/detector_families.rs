@@ -42,12 +42,13 @@ fn open(model: PathBuf, changes: &[Change]) -> Result<DetectorNetwork, String> {
 fn found(network: &mut DetectorNetwork) -> Vec<(String, [f64; 4])> {
     let prepared = network.preparation().prepare(&Picture::black(SIZE)).unwrap();
     let detections = network.detect(&prepared).unwrap().detections;
-    let each = detections.iter().map(|detection| {
+    let mut found = Vec::new();
+    for detection in detections {
         let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(SIZE);
         let name = network.class_names()[usize::from(detection.class.0)].clone();
-        (name, [x1, y1, x2, y2])
-    });
-    each.collect()
+        found.push((name, [x1, y1, x2, y2]));
+    }
+    found
 }
 
 #[track_caller]
@@ -65,11 +66,13 @@ fn assert_found(network: &mut DetectorNetwork, expected: &[(&str, [f64; 4])]) {
 
 /// Rows of these numbers at the start of an output with rows of `length`.
 fn rows(length: usize, rows: &[&[f32]]) -> Vec<(usize, f32)> {
-    let row = |(place, numbers): (usize, &&[f32])| {
-        let numbers: Vec<_> = numbers.iter().copied().enumerate().collect();
-        numbers.into_iter().map(move |(at, number)| (place * length + at, number))
-    };
-    rows.iter().enumerate().flat_map(row).collect()
+    let mut places = Vec::new();
+    for (row, numbers) in rows.iter().enumerate() {
+        for (column, &number) in numbers.iter().enumerate() {
+            places.push((row * length + column, number));
+        }
+    }
+    places
 }
 
 /// A model with one output.
@@ -300,10 +303,8 @@ fn a_model_of_ones_own_reports_all_its_classes_and_one_of_coco_those_of_the_pape
     assert_eq!(network.left_out(), [""; 0]);
     // Of person, bicycle, car and motorcycle all are the paper's; of the next two, one is.
     let mut network = open(plant(80).write(folder.path()), &[default]).unwrap();
-    assert_eq!(
-        (network.class_names().len(), network.left_out().len()),
-        (7, 74)
-    );
+    assert_eq!(network.class_names().len(), 7);
+    assert_eq!(network.left_out().len(), 74);
     assert_eq!(found(&mut network).len(), 4);
     let only: Change = |config| config.report_classes = Some(vec!["car".to_owned()]);
     let mut network = open(plant(80).write(folder.path()), &[only]).unwrap();

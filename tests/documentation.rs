@@ -259,12 +259,23 @@ fn shell(folder: &Path, line: &str) -> Child {
         .unwrap()
 }
 
-/// Starts the node of a command on free ports, and returns its two addresses too.
-fn node_of(folder: &Path, command: &str) -> (Child, String, String) {
+/// The node that a command starts.
+struct Started {
+    child: Child,
+    http: String,
+    zenoh: String,
+}
+
+/// Starts the node of a command on free ports.
+fn node_of(folder: &Path, command: &str) -> Started {
     let http = format!("127.0.0.1:{}", free_port());
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());
     let ports = format!("ALBIREO_HTTP__LISTEN={http} ALBIREO_ZENOH__LISTEN='[\"{zenoh}\"]'");
-    (shell(folder, &format!("{ports} {command}")), http, zenoh)
+    Started {
+        child: shell(folder, &format!("{ports} {command}")),
+        http,
+        zenoh,
+    }
 }
 
 async fn run_line(folder: &Path, line: &str) -> String {
@@ -279,8 +290,8 @@ async fn run_line(folder: &Path, line: &str) -> String {
 async fn the_documented_commands_run_in_order() {
     let folder = workshop();
     // The page asks for a node in another terminal.
-    let (mut node, http, zenoh) = node_of(folder.path(), "albireo node --config node.toml");
-    until_ready(&format!("http://{http}")).await;
+    let mut node = node_of(folder.path(), "albireo node --config node.toml");
+    until_ready(&format!("http://{}", node.http)).await;
     // The commands of the camera page need cameras.
     let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
@@ -300,19 +311,19 @@ async fn the_documented_commands_run_in_order() {
     let run = async |commands: Vec<String>| {
         for command in commands {
             let mut line = command
-                .replace("localhost:8080", &http)
-                .replace("127.0.0.1:8080", &http)
+                .replace("localhost:8080", &node.http)
+                .replace("127.0.0.1:8080", &node.http)
                 .replace("curl ", "curl -sSf ");
             if line.starts_with("albireo replay ") {
-                line = format!("{line} --connect {zenoh}");
+                line = format!("{line} --connect {}", node.zenoh);
             }
             run_line(folder.path(), &line).await;
         }
     };
     tokio::join!(run(with_node), run(comparing), run(others));
     assert!(folder.path().join("results/report.html").is_file());
-    node.start_kill().unwrap();
-    let log = Ended::from(node.wait_with_output().await.unwrap()).err;
+    node.child.start_kill().unwrap();
+    let log = Ended::from(node.child.wait_with_output().await.unwrap()).err;
     assert_contains(&log, &["first frame"]);
 }
 
@@ -372,9 +383,9 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let (config, _) = config.split_once("```").unwrap();
     let folder = workshop();
     std::fs::write(folder.path().join("node.toml"), to_camera(config, &camera)).unwrap();
-    let (mut node, http, _) = node_of(folder.path(), command("GATE_USER="));
-    until_frames(&format!("http://{http}")).await;
-    node.kill().await.unwrap();
+    let mut node = node_of(folder.path(), command("GATE_USER="));
+    until_frames(&format!("http://{}", node.http)).await;
+    node.child.kill().await.unwrap();
 
     let camera = RtspCamera::start("h264", &[]).await;
     let model = project("models/yolox_nano.onnx");

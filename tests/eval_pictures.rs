@@ -145,7 +145,11 @@ fn pictures_stored_detections_and_the_node_give_the_same_frame_states() {
             ..fixture_screen()
         };
         source.rewind().unwrap();
-        let node = (&detector, &screen, confidence);
+        let node = live::NodeSettings {
+            detector: &detector,
+            screen: &screen,
+            confidence,
+        };
         let forced = live::assert_live_alike(&mut source, node, &pictured, &policies);
         assert_eq!(forced > 0, is_reached, "{forced} at {confidence}");
     }
@@ -331,5 +335,10 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
     video.rewind().unwrap();
     // One policy each that uses the detector, the screen and pixels; the fixtures test all policies.
     let policies = "albireo erd-only statues:25";
-    live::assert_live_alike(&mut video, (&detector, &screen, 0.5), &pictured, policies);
+    let node = live::NodeSettings {
+        detector: &detector,
+        screen: &screen,
+        confidence: 0.5,
+    };
+    live::assert_live_alike(&mut video, node, &pictured, policies);
 }

@@ -198,8 +198,12 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
     assert_eq!(bench.answer().await.seq, 10);
     assert_eq!(bench.answer().await.seq, 18);
     let dropped = bench.snapshot().dropped;
-    let kinds = dropped.by_kind().into_iter().filter(|(_, n)| *n > 0);
-    let kinds: Vec<_> = kinds.map(|(kind, n)| format!("{kind} {n}")).collect();
+    let mut kinds = Vec::new();
+    for (kind, count) in dropped.by_kind() {
+        if count > 0 {
+            kinds.push(format!("{kind} {count}"));
+        }
+    }
     let expected =
         "lost 3, late 1, stray 1, duplicate 1, undecodable 2, oversized 1, unknown_format 1";
     assert_eq!(kinds.join(", "), expected);
@@ -321,8 +325,8 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let reply = query.await.unwrap().recv_async().await.unwrap();
-    let reply = reply.into_result();
-    let sample = reply.map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
+    let answer = reply.into_result();
+    let sample = answer.map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }
@@ -357,35 +361,44 @@ fn yuv(pixel: &[u8]) -> [u8; 3] {
     [16.0 + 219.0 * luma, 128.0 + 224.0 * cb, 128.0 + 224.0 * cr].map(|value| value.round() as u8)
 }
 
+/// A row of pixels: luma, Cb, Cr.
+type YuvRow = Vec<[u8; 3]>;
+
+/// The bytes of each row, of which `bytes` gives those of two pixels.
+fn by_pairs<'a>(
+    rows: impl Iterator<Item = &'a YuvRow>,
+    bytes: impl Fn(&[[u8; 3]]) -> Vec<u8>,
+) -> Vec<Vec<u8>> {
+    rows.map(|row| row.chunks(2).flat_map(&bytes).collect()).collect()
+}
+
 /// The rows of each plane of `picture` in `format`.
 fn planes_of(picture: &Picture, format: PictureFormat) -> Vec<Vec<Vec<u8>>> {
-    let width = picture.size.width as usize;
-    let rows: Vec<Vec<[u8; 3]>> = picture
-        .pixels
-        .chunks(3 * width)
-        .map(|row| row.chunks(3).map(yuv).collect())
-        .collect();
-    let each = |rows: &[Vec<[u8; 3]>], bytes: &dyn Fn(&[[u8; 3]]) -> Vec<u8>| -> Vec<Vec<u8>> {
-        rows.iter().map(|row| row.chunks(2).flat_map(bytes).collect()).collect()
+    let rows_of_bytes = picture.pixels.chunks(3 * picture.size.width as usize);
+    let yuv_row = |row: &[u8]| -> YuvRow { row.chunks(3).map(yuv).collect() };
+    let rows: Vec<YuvRow> = rows_of_bytes.clone().map(yuv_row).collect();
+    let every_second = || rows.iter().step_by(2);
+    let luma = || {
+        by_pairs(rows.iter(), |pair| {
+            pair.iter().map(|pixel| pixel[0]).collect()
+        })
     };
-    let luma = || each(&rows, &|pair| pair.iter().map(|pixel| pixel[0]).collect());
-    let every_second: Vec<_> = rows.iter().step_by(2).cloned().collect();
-    let chroma = |channel: usize| each(&every_second, &|pair| vec![pair[0][channel]]);
+    let chroma = |channel: usize| by_pairs(every_second(), |pair| vec![pair[0][channel]]);
     match format {
         PictureFormat::Yuyv => {
             let bytes = |p: &[[u8; 3]]| vec![p[0][0], p[0][1], p[1][0], p[0][2]];
-            vec![each(&rows, &bytes)]
+            vec![by_pairs(rows.iter(), bytes)]
         }
         PictureFormat::Uyvy => {
             let bytes = |p: &[[u8; 3]]| vec![p[0][1], p[0][0], p[0][2], p[1][0]];
-            vec![each(&rows, &bytes)]
+            vec![by_pairs(rows.iter(), bytes)]
         }
         PictureFormat::I420 => vec![luma(), chroma(1), chroma(2)],
         PictureFormat::Nv12 => {
             let bytes = |p: &[[u8; 3]]| vec![p[0][1], p[0][2]];
-            vec![luma(), each(&every_second, &bytes)]
+            vec![luma(), by_pairs(every_second(), bytes)]
         }
-        _ => vec![picture.pixels.chunks(3 * width).map(<[u8]>::to_vec).collect()],
+        _ => vec![rows_of_bytes.map(<[u8]>::to_vec).collect()],
     }
 }
 
@@ -419,8 +432,8 @@ async fn raw_frames_of_every_layout_with_and_without_padded_rows_give_the_boxes_
             let first = planes[0][0].len() + padding;
             let mut bytes = Vec::new();
             for plane in &planes {
-                let row_of_chroma = planes.len() > 1 && plane[0].len() < planes[0][0].len();
-                let step = if row_of_chroma { first / 2 } else { first };
+                let is_chroma = planes.len() > 1 && plane[0].len() < planes[0][0].len();
+                let step = if is_chroma { first / 2 } else { first };
                 for row in plane {
                     bytes.extend_from_slice(row);
                     bytes.resize(bytes.len() + step - row.len(), 0xAA);

@@ -194,7 +194,7 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
         "echo $$ > '{0}.new'; mv '{0}.new' '{0}'; exec tail -f /dev/null",
         note.display()
     );
-    for stopped in [true, false] {
+    for is_stopped in [true, false] {
         let programs = stand_ins(folder.path(), &answer);
         let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
         let pid = loop {
@@ -205,7 +205,7 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
         };
         let process = PathBuf::from("/proc").join(&pid);
         assert!(process.exists());
-        if stopped {
+        if is_stopped {
             let stop = video.stopper().unwrap();
             let reading = std::thread::spawn(move || video.next().unwrap());
             drop(stop);

@@ -64,16 +64,18 @@ impl Node {
     }
 }
 
-/// The frame states of a camera with these pictures, and the calls forced by the limit on consecutive empty frames.
-async fn decided(
-    node: &Node,
-    policy: &mut dyn Policy,
-    pictures: &[EncodedPicture],
-) -> (Vec<FrameState>, u64) {
+struct Decided {
+    states: Vec<FrameState>,
+    /// The calls that the limit on consecutive empty frames forced.
+    forced: u64,
+}
+
+/// The decisions on a camera with these pictures.
+async fn decided(node: &Node, policy: &mut dyn Policy, pictures: &[EncodedPicture]) -> Decided {
     let mut camera = node.camera();
     let mut outcome = Outcome::default();
     let mut states = Vec::new();
-    let mut overruled = 0;
+    let mut forced = 0;
     for (index, encoded) in pictures.iter().enumerate() {
         let head = FrameHead {
             index: index as u64,
@@ -93,19 +95,32 @@ async fn decided(
         }
         policy.finish(&mut outcome);
         states.push(outcome.state);
-        overruled += u64::from(camera.screen_is_overruled());
+        forced += u64::from(camera.screen_is_overruled());
     }
-    (states, overruled)
+    Decided { states, forced }
+}
+
+/// How a node is configured.
+#[derive(Clone, Copy)]
+pub(crate) struct NodeSettings<'a> {
+    pub(crate) detector: &'a DetectorConfig,
+    pub(crate) screen: &'a ScreenConfig,
+    pub(crate) confidence: f64,
 }
 
 /// Asserts that the node's detections on the same pictures equal those of the pass, and that every live policy decides as its
 /// replay does. Returns how often the limit on consecutive empty frames forced a detector call.
 pub(crate) fn assert_live_alike(
     source: &mut dyn FrameSource,
-    (detector, screen, confidence): (&DetectorConfig, &ScreenConfig, f64),
+    node: NodeSettings<'_>,
     pictured: &Clip,
     policies: &str,
 ) -> u64 {
+    let NodeSettings {
+        detector,
+        screen,
+        confidence,
+    } = node;
     let mut pictures = Vec::new();
     while let Some(picture) = source.next().unwrap() {
         pictures.push(picture);
@@ -150,9 +165,10 @@ pub(crate) fn assert_live_alike(
         let mut forced = 0;
         for (policy, replayed) in policies.iter().zip(&replayed) {
             let mut decider = policy.config.build().unwrap();
-            let (states, looked) = decided(&node, decider.as_mut(), &pictures).await;
-            assert_eq!(states, replayed.states_by_frame, "{}", policy.label);
-            forced += looked;
+            let live = decided(&node, decider.as_mut(), &pictures).await;
+            let label = &policy.label;
+            assert_eq!(live.states, replayed.states_by_frame, "{label}");
+            forced += live.forced;
         }
         forced
     })

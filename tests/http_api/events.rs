@@ -23,12 +23,14 @@ impl Events {
     async fn next(&mut self) -> Option<(String, Value)> {
         loop {
             while let Some((event, rest)) = self.text.split_once("\n\n") {
-                let field = |name: &str| event.lines().find_map(|line| line.strip_prefix(name));
-                let found = field("event: ")
-                    .zip(field("data: "))
-                    .map(|(name, data)| (name.to_owned(), data.to_owned()));
+                let field = |name: &str| {
+                    let found = event.lines().find_map(|line| line.strip_prefix(name));
+                    found.map(str::to_owned)
+                };
+                let name = field("event: ");
+                let data = field("data: ");
                 self.text = rest.to_owned();
-                if let Some((name, data)) = found {
+                if let (Some(name), Some(data)) = (name, data) {
                     return Some((name, serde_json::from_str(&data).unwrap()));
                 }
             }

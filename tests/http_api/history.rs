@@ -8,7 +8,7 @@ use albireo_node::state::board::PowerSnapshot;
 use albireo_wire::{CallCause, EnergyQuality};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fs::DirEntry;
+
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
@@ -53,7 +53,11 @@ async fn the_skip_rate_of_another_threshold_is_marked_as_estimated() {
     // A call on every third frame, and uncertainty that grows with the time since the last call.
     for seq in 0..300 {
         let age = seq % 3;
-        let state = [FrameState::P, FrameState::I][usize::from(age == 2)];
+        let state = if age == 2 {
+            FrameState::I
+        } else {
+            FrameState::P
+        };
         let mut message = frame(seq, state);
         message.tau_max = Some(1.1e-4 * (age + 1) as f64);
         answered(front, message);
@@ -129,12 +133,13 @@ fn untar(archive: &Path) -> BTreeMap<String, String> {
     let folder = tempfile::tempdir().unwrap();
     let mut tar = Command::new("tar");
     run_command(tar.arg("-xf").arg(archive).arg("-C").arg(folder.path())).succeeds();
-    let files = std::fs::read_dir(folder.path()).unwrap();
-    let read = |file: DirEntry| {
+    let mut texts = BTreeMap::new();
+    for file in std::fs::read_dir(folder.path()).unwrap() {
+        let file = file.unwrap();
         let name = file.file_name().into_string().unwrap();
-        (name, std::fs::read_to_string(file.path()).unwrap())
-    };
-    files.map(|file| read(file.unwrap())).collect()
+        texts.insert(name, std::fs::read_to_string(file.path()).unwrap());
+    }
+    texts
 }
 
 #[tokio::test]

@@ -24,10 +24,8 @@ async fn one_put_switches_the_policy_and_every_route_tells_it() {
     let News::Threshold(told) = &event.news else {
         panic!("{event:?}");
     };
-    assert_eq!(
-        (&*told.camera, told.threshold.name.as_str()),
-        ("front", "lambda")
-    );
+    assert_eq!(&*told.camera, "front");
+    assert_eq!(told.threshold.name.as_str(), "lambda");
     assert_has(
         &node.json("/api/v1/threshold").await,
         &json!({"lambda": 0.3, "cameras": [{"lambda": 0.3, "threshold_spec": {"name": "lambda"}}, {"camera": "rear"}]}),

@@ -10,15 +10,29 @@ pub(crate) enum Numbers {
     Whole(Vec<i64>),
 }
 
-/// A tensor's name, and its dimensions; -1 for one that is declared open.
-pub(crate) type Declared = (&'static str, Vec<i64>);
+/// An input, whose elements are of a type of `onnx.proto`.
+#[derive(Clone, Debug)]
+struct PlantedInput {
+    name: &'static str,
+    shape: Vec<i64>,
+    element: u64,
+}
+
+#[derive(Clone, Debug)]
+struct PlantedOutput {
+    name: &'static str,
+    /// The dimensions in the model's signature; -1 for one that is declared open.
+    declared: Vec<i64>,
+    shape: Vec<i64>,
+    numbers: Numbers,
+}
 
 /// A model of constants.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Planted {
     /// Inputs of float32, and the one of int64 that some models have beside the picture.
-    inputs: Vec<(Declared, u64)>,
-    outputs: Vec<(Declared, Vec<i64>, Numbers)>,
+    inputs: Vec<PlantedInput>,
+    outputs: Vec<PlantedOutput>,
     metadata: Vec<(&'static str, String)>,
 }
 
@@ -27,18 +41,24 @@ const UINT8: u64 = 2;
 const INT64: u64 = 7;
 
 impl Planted {
-    pub(crate) fn input(mut self, name: &'static str, shape: &[i64]) -> Self {
-        self.inputs.push(((name, shape.to_vec()), FLOAT));
-        self
+    pub(crate) fn input(self, name: &'static str, shape: &[i64]) -> Self {
+        self.input_of(FLOAT, name, shape)
     }
 
-    pub(crate) fn bytes_input(mut self, name: &'static str, shape: &[i64]) -> Self {
-        self.inputs.push(((name, shape.to_vec()), UINT8));
-        self
+    pub(crate) fn bytes_input(self, name: &'static str, shape: &[i64]) -> Self {
+        self.input_of(UINT8, name, shape)
     }
 
-    pub(crate) fn whole_input(mut self, name: &'static str, shape: &[i64]) -> Self {
-        self.inputs.push(((name, shape.to_vec()), INT64));
+    pub(crate) fn whole_input(self, name: &'static str, shape: &[i64]) -> Self {
+        self.input_of(INT64, name, shape)
+    }
+
+    fn input_of(mut self, element: u64, name: &'static str, shape: &[i64]) -> Self {
+        self.inputs.push(PlantedInput {
+            name,
+            shape: shape.to_vec(),
+            element,
+        });
         self
     }
 
@@ -56,19 +76,24 @@ impl Planted {
         for &(place, value) in places {
             values[place] = value;
         }
-        let numbers = Numbers::Floats(values);
-        self.outputs.push(((name, declared.to_vec()), shape.to_vec(), numbers));
+        self.outputs.push(PlantedOutput {
+            name,
+            declared: declared.to_vec(),
+            shape: shape.to_vec(),
+            numbers: Numbers::Floats(values),
+        });
         self
     }
 
     pub(crate) fn whole_output(mut self, name: &'static str, shape: &[i64], first: i64) -> Self {
         let mut values = vec![0; shape.iter().product::<i64>() as usize];
         values[0] = first;
-        self.outputs.push((
-            (name, shape.to_vec()),
-            shape.to_vec(),
-            Numbers::Whole(values),
-        ));
+        self.outputs.push(PlantedOutput {
+            name,
+            declared: shape.to_vec(),
+            shape: shape.to_vec(),
+            numbers: Numbers::Whole(values),
+        });
         self
     }
 
@@ -80,24 +105,27 @@ impl Planted {
     /// Writes the file into `folder`.
     pub(crate) fn write(&self, folder: &Path) -> PathBuf {
         let mut graph = Message::default();
-        for ((name, _), _, _) in &self.outputs {
+        for output in &self.outputs {
             let mut node = Message::default();
-            node.text(1, &format!("planted_{name}")).text(2, name).text(4, "Identity");
+            node.text(1, &output.constant()).text(2, output.name).text(4, "Identity");
             graph.message(1, &node);
         }
         graph.text(2, "planted");
-        for ((name, _), shape, numbers) in &self.outputs {
-            graph.message(5, &tensor(&format!("planted_{name}"), shape, numbers));
+        for output in &self.outputs {
+            let constant = tensor(&output.constant(), &output.shape, &output.numbers);
+            graph.message(5, &constant);
         }
-        for ((name, shape), element) in &self.inputs {
-            graph.message(11, &value_info(name, *element, shape));
+        for input in &self.inputs {
+            let info = value_info(input.name, input.element, &input.shape);
+            graph.message(11, &info);
         }
-        for ((name, declared), _, numbers) in &self.outputs {
-            let element = match numbers {
+        for output in &self.outputs {
+            let element = match output.numbers {
                 Numbers::Floats(_) => FLOAT,
                 Numbers::Whole(_) => INT64,
             };
-            graph.message(12, &value_info(name, element, declared));
+            let info = value_info(output.name, element, &output.declared);
+            graph.message(12, &info);
         }
         let mut opset = Message::default();
         opset.text(1, "").number(2, 17);
@@ -114,20 +142,27 @@ impl Planted {
     }
 }
 
+impl PlantedOutput {
+    /// The name of the constant that it gives.
+    fn constant(&self) -> String {
+        format!("planted_{}", self.name)
+    }
+}
+
 fn tensor(name: &str, shape: &[i64], numbers: &Numbers) -> Message {
     let mut tensor = Message::default();
     for &side in shape {
         tensor.number(1, side as u64);
     }
     let (element, bytes): (u64, Vec<u8>) = match numbers {
-        Numbers::Floats(values) => (
-            FLOAT,
-            values.iter().flat_map(|it| it.to_le_bytes()).collect(),
-        ),
-        Numbers::Whole(values) => (
-            INT64,
-            values.iter().flat_map(|it| it.to_le_bytes()).collect(),
-        ),
+        Numbers::Floats(values) => {
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+            (FLOAT, bytes.collect())
+        }
+        Numbers::Whole(values) => {
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+            (INT64, bytes.collect())
+        }
     };
     tensor.number(2, element).text(8, name).bytes(9, &bytes);
     tensor

@@ -111,8 +111,9 @@ impl Recording {
     fn disk(&self, moment: u64) -> Disk {
         let lines = self.trace.times_us.partition_point(|time| *time < moment);
         let mut disk = Disk::new(&self.start);
-        let begun = self.trace.calls.iter().filter(|call| call.begun < lines);
-        begun.for_each(|call| disk.take(call, lines));
+        for call in self.trace.calls.iter().filter(|call| call.begun < lines) {
+            disk.take(call, lines);
+        }
         disk
     }
 }
@@ -168,14 +169,34 @@ struct File {
     unsynced: Vec<(usize, Change)>,
 }
 
-/// A change of the folder: a name that goes, and a name that a file gets.
-type NameChange = (Option<String>, Option<(String, usize)>);
+/// A change of the folder.
+#[derive(Clone)]
+enum NameChange {
+    /// A file gets a name.
+    Created { name: String, file: usize },
+    /// A file gets another name.
+    Renamed {
+        from: String,
+        to: String,
+        file: usize,
+    },
+    /// A name goes.
+    Removed { name: String },
+}
 
-fn rename(names: &mut BTreeMap<String, usize>, (gone, new): NameChange) {
-    if let Some(name) = gone {
-        names.remove(&name);
+fn rename(names: &mut BTreeMap<String, usize>, change: NameChange) {
+    match change {
+        NameChange::Created { name, file } => {
+            names.insert(name, file);
+        }
+        NameChange::Renamed { from, to, file } => {
+            names.remove(&from);
+            names.insert(to, file);
+        }
+        NameChange::Removed { name } => {
+            names.remove(&name);
+        }
     }
-    names.extend(new);
 }
 
 /// A folder on a disk.
@@ -211,24 +232,33 @@ impl Disk {
     fn take(&mut self, call: &Call, lines: usize) {
         let known = |name: &str| self.names.get(name).copied();
         match &call.what {
-            What::Open(name, _) if known(name).is_none() => {
-                let new = (name.clone(), self.files.len());
+            What::Open(name) | What::Empty(name) if known(name).is_none() => {
+                let created = NameChange::Created {
+                    name: name.clone(),
+                    file: self.files.len(),
+                };
                 self.files.push(File::default());
-                self.change_name(call.ended, (None, Some(new)));
+                self.change_name(call.ended, created);
             }
-            What::Open(name, true) => self.change(name, call, Change::Size(0)),
-            What::Open(_, false) => {}
+            What::Empty(name) => self.change(name, call, Change::Size(0)),
+            What::Open(_) => {}
             What::Write(name, at, bytes) => {
                 let end = self.files[self.names[name]].size;
                 self.change(name, call, Change::Write(at.unwrap_or(end), bytes.clone()));
             }
             What::Size(name, size) => self.change(name, call, Change::Size(*size)),
             What::Rename(from, to) => {
-                let file = self.names[from];
-                let change = (Some(from.clone()), Some((to.clone(), file)));
-                self.change_name(call.ended, change);
+                let renamed = NameChange::Renamed {
+                    from: from.clone(),
+                    to: to.clone(),
+                    file: self.names[from],
+                };
+                self.change_name(call.ended, renamed);
             }
-            What::Remove(name) => self.change_name(call.ended, (Some(name.clone()), None)),
+            What::Remove(name) => {
+                let removed = NameChange::Removed { name: name.clone() };
+                self.change_name(call.ended, removed);
+            }
             What::Sync(_) | What::SyncFolder if call.ended >= lines => {}
             What::Sync(name) => {
                 let file = &mut self.files[self.names[name]];
@@ -277,16 +307,16 @@ impl Disk {
             }
             files.push(file.synced);
         }
-        let content = |(name, file): (String, usize)| {
-            let is_memory = is_shared_memory(&name);
-            let bytes = if is_memory {
+        let mut kept = Files::new();
+        for (name, file) in names {
+            let bytes = if is_shared_memory(&name) {
                 vec![0xa5; 32 << 10]
             } else {
                 files[file].clone()
             };
-            (name, bytes)
-        };
-        names.into_iter().map(content).collect()
+            kept.insert(name, bytes);
+        }
+        kept
     }
 }
 

@@ -9,8 +9,10 @@ pub(super) const CALLS: &str = "?open,openat,?creat,write,writev,pwrite64,pwrite
 
 /// A call on a file, which has its name in the folder.
 pub(super) enum What {
-    /// Creates the file if it is missing; with `true` it empties it.
-    Open(String, bool),
+    /// Creates the file if it is missing.
+    Open(String),
+    /// Creates the file if it is missing, and empties it.
+    Empty(String),
     /// Writes at a place, or at the end.
     Write(String, Option<usize>, Vec<u8>),
     Size(String, usize),
@@ -95,8 +97,13 @@ fn call(text: &str, folder: &str, begun: usize, ended: usize) -> Option<Call> {
     let what = match name {
         "open" | "openat" | "creat" => {
             let name = in_folder(quoted.next()?)?;
-            let [creates, empties] = ["O_CREAT", "O_TRUNC"].map(|flag| arguments.contains(flag));
-            (creates || empties).then_some(What::Open(name, empties))?
+            if arguments.contains("O_TRUNC") {
+                What::Empty(name)
+            } else if arguments.contains("O_CREAT") {
+                What::Open(name)
+            } else {
+                return None;
+            }
         }
         "write" | "pwrite64" => {
             let file = opened()?;
