@@ -15,27 +15,30 @@ const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 8
 /// The COCO names by category number; empty for an unused number.
 fn coco_categories() -> Vec<String> {
     let mut names = COCO_CLASSES.lines();
-    (0..=90)
-        .map(|number| {
-            if UNUSED_CATEGORIES.contains(&number) {
-                return String::new();
-            }
-            names.next().unwrap_or_default().to_owned()
-        })
-        .collect()
+    let mut categories = Vec::new();
+    for number in 0..=90 {
+        let name = if UNUSED_CATEGORIES.contains(&number) {
+            ""
+        } else {
+            names.next().unwrap_or_default()
+        };
+        categories.push(name.to_owned());
+    }
+    categories
 }
 
 /// True if these are the classes of COCO, however a few of them are written (`aeroplane`, `motorbike`, `tv monitor`).
 pub fn are_of_coco(names: &[String]) -> bool {
-    let known = |name: &&String| COCO_CLASSES.lines().any(|known| known.eq_ignore_ascii_case(name));
+    let is_known =
+        |name: &&String| COCO_CLASSES.lines().any(|class| class.eq_ignore_ascii_case(name));
     let used = names.iter().filter(|name| !name.is_empty()).count();
-    used == 80 && names.iter().filter(known).count() >= 70
+    used == 80 && names.iter().filter(is_known).count() >= 70
 }
 
 /// The number of names that are configured or in the metadata, if there are any that can be read.
 pub(super) fn count(configured: Option<&ClassNames>, metadata: &Metadata) -> Option<usize> {
-    let (names, _) = given(configured, metadata).ok()?;
-    Some(names?.len())
+    let names = given(configured, metadata).ok()?.names?;
+    Some(names.len())
 }
 
 /// Returns the names of the model's classes: the configured ones, else those of its metadata, else the list that
@@ -49,7 +52,7 @@ pub(super) fn read(
     head: &Head,
 ) -> Result<Vec<String>, StartError> {
     let wrong = |reason: String| StartError::configuration("detector.class_names", reason);
-    let (names, source) = given(configured, metadata).map_err(wrong)?;
+    let Given { names, source } = given(configured, metadata).map_err(wrong)?;
     let Some(names) = names else {
         return own_list(head).ok_or_else(|| wrong(no_names(head)));
     };
@@ -63,8 +66,8 @@ pub(super) fn read(
             head.name.as_str()
         )));
     }
-    if names.len() > usize::from(u16::MAX) {
-        return Err(wrong(format!("{} names are too many", names.len())));
+    if count > usize::from(u16::MAX) {
+        return Err(wrong(format!("{count} names are too many")));
     }
     Ok(names)
 }
@@ -81,20 +84,30 @@ fn no_names(head: &Head) -> String {
     )
 }
 
-/// The names that are configured, else those of the metadata, if there are any, and where they are from.
-fn given(
-    configured: Option<&ClassNames>,
-    metadata: &Metadata,
-) -> Result<(Option<Vec<String>>, String), String> {
+/// Names, and where they are from.
+struct Given {
+    /// `None` if nothing names the classes.
+    names: Option<Vec<String>>,
+    source: String,
+}
+
+/// The names that are configured, else those of the metadata.
+fn given(configured: Option<&ClassNames>, metadata: &Metadata) -> Result<Given, String> {
     match configured {
-        Some(ClassNames::List(names)) => Ok((Some(names.clone()), "the list".to_owned())),
+        Some(ClassNames::List(names)) => Ok(Given {
+            names: Some(names.clone()),
+            source: "the list".to_owned(),
+        }),
         Some(ClassNames::File(path)) => {
             let source = path.display().to_string();
             let names = match listed_as(path) {
                 Some(names) => names,
                 None => read_file(path).map_err(|error| format!("{source}: {error}"))?,
             };
-            Ok((Some(names), source))
+            Ok(Given {
+                names: Some(names),
+                source,
+            })
         }
         None => {
             let names = metadata.class_names().map_err(|error| {
@@ -102,7 +115,10 @@ fn given(
                     "the class names in the model's metadata cannot be read ({error}); give a file or a list"
                 )
             })?;
-            Ok((names, "its metadata".to_owned()))
+            Ok(Given {
+                names,
+                source: "its metadata".to_owned(),
+            })
         }
     }
 }
@@ -130,7 +146,8 @@ fn coco() -> Vec<String> {
 
 /// The list that belongs to a head, if it has as many names as there are classes.
 fn own_list(head: &Head) -> Option<Vec<String>> {
-    match (head.name, head.classes?) {
+    let classes = head.classes?;
+    match (head.name, classes) {
         (_, 80) => Some(coco()),
         (HeadName::Detr | HeadName::RtDetr, 91) => Some(coco_categories()),
         _ => None,
@@ -140,20 +157,30 @@ fn own_list(head: &Head) -> Option<Vec<String>> {
 /// The names of a file, as programs and editors write them: one per line, perhaps numbered, or a dictionary or a list as
 /// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments.
 fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
-    let text = text_of(bytes)?;
-    let text = text.trim_start_matches('\u{feff}').trim();
-    if text.starts_with(['{', '[']) {
-        return metadata_names(text);
+    let decoded = text_of(bytes)?;
+    let text = decoded.trim_start_matches('\u{feff}').trim_end();
+    if text.trim_start().starts_with(['{', '[']) {
+        return metadata_names(text.trim_start());
     }
-    let names: Vec<&str> =
-        text.lines().map(str::trim).filter(|line| !line.starts_with('#')).collect();
-    if names.iter().all(|name| name.is_empty()) {
+    let mut names = Vec::new();
+    let mut first_empty = None;
+    for (line, number) in text.lines().zip(1..) {
+        let name = line.trim();
+        if name.starts_with('#') || (name.is_empty() && names.is_empty()) {
+            continue;
+        }
+        if name.is_empty() && first_empty.is_none() {
+            first_empty = Some(number);
+        }
+        names.push(name);
+    }
+    if names.is_empty() {
         return Err("it is empty; one name per line is needed".to_owned());
     }
-    if let Some(line) = names.iter().position(|name| name.is_empty()) {
-        return Err(format!("line {} is empty", line + 1));
+    if let Some(line) = first_empty {
+        return Err(format!("line {line} is empty"));
     }
-    // Only if every line has its number are the numbers no part of the names.
+    // The numbers are left away only if every line has its own.
     let after_numbers: Option<Vec<&str>> = names
         .iter()
         .enumerate()
@@ -229,7 +256,7 @@ mod tests {
     fn without_names_the_heads_list_is_used_if_its_length_fits() {
         use HeadName::{Detr, EndToEnd, Yolo, Yolox};
         let none = Metadata::default();
-        let names = |head, classes| read(None, &none, &super::tests::head(head, classes));
+        let names = |name, classes| read(None, &none, &head(name, classes));
         assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
         assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
         let categories = names(Detr, Some(91)).unwrap();
@@ -238,8 +265,8 @@ mod tests {
         for (number, name) in [(0, ""), (3, "car"), (13, "stop sign"), (90, "toothbrush")] {
             assert_eq!(categories[number], name);
         }
-        for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {
-            let error = names(head, classes).unwrap_err().to_string();
+        for (name, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {
+            let error = names(name, classes).unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
         }
     }
@@ -251,7 +278,7 @@ mod tests {
         let broken = metadata(&[("names", "{0: car}")]);
         let own = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
         let (_file, lines) = file_with("Auto\r\ntraffic light\n\n");
-        for (given, metadata, head, classes, expected) in [
+        for (given, metadata, name, classes, expected) in [
             (None, &two, Yolo, Some(2), ["car", "bus"]),
             // The third is "no object".
             (None, &two, Detr, Some(3), ["car", "bus"]),
@@ -261,7 +288,7 @@ mod tests {
             (Some(&lines), &two, Yolo, Some(2), ["Auto", "traffic light"]),
         ] {
             assert_eq!(
-                read(given, metadata, &super::tests::head(head, classes)).unwrap(),
+                read(given, metadata, &head(name, classes)).unwrap(),
                 expected
             );
         }
@@ -269,19 +296,19 @@ mod tests {
 
     #[test]
     fn unusable_names_are_an_error_that_says_where_they_are() {
-        let (empty, no_lines) = file_with("");
-        let (gap, lines) = file_with("car\n\nbus\n");
+        let (path_of_empty, empty) = file_with("");
+        let (path_of_gap, with_gap) = file_with("car\n\nbus\n");
         let two = "{0: 'car', 1: 'bus'}";
         for (given, names, said) in [
             (None, two, "another number of classes"),
             (None, two, "3 and 2;"),
             (None, "{0: car}", "metadata"),
-            (Some(no_lines), two, empty.to_str().unwrap()),
-            (Some(lines), two, gap.to_str().unwrap()),
+            (Some(empty), two, path_of_empty.to_str().unwrap()),
+            (Some(with_gap), two, path_of_gap.to_str().unwrap()),
         ] {
             let metadata = metadata(&[("names", names)]);
-            let read = read(given.as_ref(), &metadata, &head(HeadName::Yolo, Some(3)));
-            let error = read.unwrap_err().to_string();
+            let refused = read(given.as_ref(), &metadata, &head(HeadName::Yolo, Some(3)));
+            let error = refused.unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
             assert!(error.contains(said), "{error}");
         }
@@ -305,6 +332,18 @@ mod tests {
         // A name may begin with a number that is not its place.
         assert_eq!(of_file(b"4x4\n18-wheeler").unwrap(), ["4x4", "18-wheeler"]);
         assert!(of_file(b"\xff\x00\x01").is_err());
+    }
+
+    #[test]
+    fn an_empty_line_between_names_is_told_by_its_number_in_the_file() {
+        for (text, line) in [
+            ("car\n\nbus\n", 2),
+            ("# classes\nperson\n\ncar", 3),
+            ("\n\nperson\n# a comment\n\ncar", 5),
+        ] {
+            let error = of_file(text.as_bytes()).unwrap_err();
+            assert_eq!(error, format!("line {line} is empty"), "{text:?}");
+        }
     }
 
     #[test]

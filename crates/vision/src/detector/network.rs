@@ -85,7 +85,7 @@ impl DetectorNetwork {
         network
             .warm_up(config.batch_size)
             .map_err(|reason| StartError::first_run(&config.model, reason))?;
-        network.session.was_built_in(begun.elapsed());
+        network.session.keep_build_time(begun.elapsed());
         // Counting begins with the first picture.
         network.reader.meter = meter;
         network.impossible_runs = 0;

@@ -189,7 +189,8 @@ impl PrecisionProof {
             return None;
         }
         let proof = self.clone();
-        let (picture, found) = (picture.copied(), found.to_vec());
+        let picture = picture.copied();
+        let found = found.to_vec();
         let spawned = std::thread::Builder::new()
             .name("precision".to_owned())
             .spawn(move || proof.compare(provider, &picture, &found));

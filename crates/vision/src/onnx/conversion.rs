@@ -9,9 +9,10 @@ use ort::operator::Attribute;
 use ort::session::builder::SessionBuilder;
 use ort::session::{OutputSelector, RunOptions, Session};
 use ort::value::{
-    DynTensor, DynValue, Outlet, Shape, SymbolicDimensions, Tensor, TensorElementType, TensorRef,
-    ValueType,
+    DynTensor, DynValue, Outlet, PrimitiveTensorElementType, Shape, SymbolicDimensions, Tensor,
+    TensorElementType, TensorRef, ValueType,
 };
+use std::fmt::Debug;
 
 /// The version of ONNX whose operators the graph uses; any since 13 has them.
 const OPSET: u32 = 17;
@@ -45,9 +46,10 @@ impl PixelConversion {
         let mut model = Model::new([Opset::new(ONNX_DOMAIN, OPSET)?])?;
         model.set_graph(graph(format, element)?)?;
         let session = model.into_session(options)?;
+        let memory = memory(&session)?;
         Ok(Self {
-            memory: memory(&session)?,
             session,
+            memory,
             layout: format.layout,
             element,
         })
@@ -56,11 +58,11 @@ impl PixelConversion {
     /// Converts pictures of `shape`, `[batch, rows, columns, 3]`, one after another. The result stays where the model runs.
     pub(super) fn run(&mut self, shape: [i64; 4], pixels: &[u8]) -> ort::Result<DynValue> {
         let [batch, rows, columns, colours] = shape;
-        let converted = match self.layout {
+        let converted_shape = match self.layout {
             TensorLayout::Nchw => [batch, colours, rows, columns],
             TensorLayout::Nhwc => shape,
         };
-        let converted = DynTensor::new(&self.memory, self.element, converted)?;
+        let converted = DynTensor::new(&self.memory, self.element, converted_shape)?;
         let outputs = OutputSelector::default().preallocate(CONVERTED, converted);
         let options = RunOptions::new()?.with_outputs(outputs);
         let input = TensorRef::from_array_view((shape, pixels))?;
@@ -79,10 +81,12 @@ fn graph(format: InputFormat, element: TensorElementType) -> ort::Result<Graph> 
         shape: Shape::new(shape),
         dimension_symbols: SymbolicDimensions::empty(4),
     };
-    let (colours, shape) = match format.layout {
-        TensorLayout::Nchw => (1, [-1, 3, -1, -1]),
-        TensorLayout::Nhwc => (3, [-1, -1, -1, 3]),
+    let color_axis = match format.layout {
+        TensorLayout::Nchw => 1,
+        TensorLayout::Nhwc => 3,
     };
+    let mut shape = [-1; 4];
+    shape[color_axis] = 3;
     let pixels = any_size([-1, -1, -1, 3], TensorElementType::Uint8);
     graph.set_inputs([Outlet::new(PIXELS, pixels)])?;
     graph.set_outputs([Outlet::new(CONVERTED, any_size(shape, element))])?;
@@ -91,31 +95,25 @@ fn graph(format: InputFormat, element: TensorElementType) -> ort::Result<Graph> 
         last: PIXELS.to_owned(),
     };
     if format.layout == TensorLayout::Nchw {
-        line.add(
-            "Transpose",
-            None,
-            [Attribute::new("perm", vec![0_i64, 3, 1, 2])?],
-        )?;
+        line.add("Transpose", [Attribute::new("perm", vec![0_i64, 3, 1, 2])?])?;
     }
     if format.color_order == ColorOrder::Bgr {
         let order = tensor(&[3], &[2_i64, 1, 0])?;
-        line.graph.add_initializer("order", order, false)?;
-        line.add("Gather", Some("order"), [Attribute::new("axis", colours)?])?;
+        let axis = Attribute::new("axis", color_axis as i64)?;
+        line.add_with("Gather", "order", order, [axis])?;
     }
     if element != TensorElementType::Uint8 {
         line.cast(TensorElementType::Float32)?;
         let planes = format.planes();
-        let mut each_colour = [1, 1, 1, 1];
-        each_colour[colours as usize] = 3;
+        let mut one_per_color = [1; 4];
+        one_per_color[color_axis] = 3;
         let factors = planes.each_ref().map(|plane| plane.conversion.factor);
         if factors != [1.0; 3] {
-            line.graph.add_initializer("factors", tensor(&each_colour, &factors)?, false)?;
-            line.add("Mul", Some("factors"), [])?;
+            line.add_with("Mul", "factors", tensor(&one_per_color, &factors)?, [])?;
         }
         let offsets = planes.map(|plane| plane.conversion.offset);
         if offsets != [0.0; 3] {
-            line.graph.add_initializer("offsets", tensor(&each_colour, &offsets)?, false)?;
-            line.add("Add", Some("offsets"), [])?;
+            line.add_with("Add", "offsets", tensor(&one_per_color, &offsets)?, [])?;
         }
         if element == TensorElementType::Float16 {
             line.cast(TensorElementType::Float16)?;
@@ -142,19 +140,48 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    /// Adds a node, with a second input beside the output of the last one.
+    /// Adds a node.
     fn add(
         &mut self,
         operator: &str,
-        beside: Option<&str>,
         attributes: impl IntoIterator<Item = Attribute>,
     ) -> ort::Result<()> {
-        let name = format!("{}-{}", self.last, operator.to_lowercase());
-        let mut inputs = vec![self.last.as_str()];
-        inputs.extend(beside);
-        let node = Node::new(operator, ONNX_DOMAIN, &name, inputs, [&name], attributes)?;
+        let inputs = vec![self.last.clone()];
+        self.add_of(operator, inputs, attributes)
+    }
+
+    /// Adds a node with a second input, which never changes.
+    fn add_with<T: PrimitiveTensorElementType + Debug>(
+        &mut self,
+        operator: &str,
+        name: &str,
+        constant: Tensor<T>,
+        attributes: impl IntoIterator<Item = Attribute>,
+    ) -> ort::Result<()> {
+        // Values this small are copied into the graph.
+        let is_external = false;
+        self.graph.add_initializer(name, constant, is_external)?;
+        let inputs = vec![self.last.clone(), name.to_owned()];
+        self.add_of(operator, inputs, attributes)
+    }
+
+    fn add_of(
+        &mut self,
+        operator: &str,
+        inputs: Vec<String>,
+        attributes: impl IntoIterator<Item = Attribute>,
+    ) -> ort::Result<()> {
+        let output = format!("{}-{}", self.last, operator.to_lowercase());
+        let node = Node::new(
+            operator,
+            ONNX_DOMAIN,
+            &output,
+            inputs,
+            [&output],
+            attributes,
+        )?;
         self.graph.add_node(node)?;
-        self.last = name;
+        self.last = output;
         Ok(())
     }
 
@@ -164,12 +191,12 @@ impl Line<'_> {
             TensorElementType::Float16 => 10,
             _ => 1,
         };
-        self.add("Cast", None, [Attribute::new("to", to)?])
+        self.add("Cast", [Attribute::new("to", to)?])
     }
 }
 
 /// A tensor that a graph can keep: in memory of ONNX Runtime.
-fn tensor<T: ort::value::PrimitiveTensorElementType + Copy + std::fmt::Debug>(
+fn tensor<T: PrimitiveTensorElementType + Copy + Debug>(
     shape: &[i64],
     values: &[T],
 ) -> ort::Result<Tensor<T>> {
@@ -188,7 +215,7 @@ mod tests {
 
     const SIZE: PictureSize = PictureSize::new(48, 32);
 
-    /// Two pictures of all grey levels and more.
+    /// Two pictures with values from 0 to 255, smaller than the input.
     fn pictures() -> [Picture; 2] {
         [17, 101].map(|step| {
             let mut picture = Picture::black(PictureSize::new(48, 20));
@@ -221,7 +248,7 @@ mod tests {
             }
         }
         let mut shape = format.as_pixels().shape();
-        shape[0] = 2;
+        shape[0] = pictures().len() as i64;
         conversion.run(shape, &pixels).unwrap()
     }
 

@@ -12,9 +12,12 @@ pub fn external_files(model: &[u8]) -> BTreeSet<String> {
     while let Some(place) = rest.windows(LOCATION.len()).position(|bytes| bytes == LOCATION) {
         rest = &rest[place + LOCATION.len()..];
         let mut value = Fields(rest);
-        let name = value.number().and_then(|length| value.bytes(length));
-        let name = name.and_then(|name| std::str::from_utf8(name).ok());
-        found.extend(name.map(str::to_owned));
+        if let Some(length) = value.number()
+            && let Some(bytes) = value.bytes(length)
+            && let Ok(name) = std::str::from_utf8(bytes)
+        {
+            found.insert(name.to_owned());
+        }
     }
     found
 }

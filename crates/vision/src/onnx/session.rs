@@ -120,14 +120,14 @@ impl OnnxSession {
     ) -> Result<Self, StartError> {
         let session = build(environment, settings, provider)
             .map_err(|error| refusal(environment, settings, provider, &in_words(&error)))?;
-        if provider != ExecutionProvider::Cpu
-            && !settings.gpu.spin
-            && let Err(reason) = waiting::sleep(settings.gpu.device)
-        {
-            info!(
-                reason,
-                "the processor keeps a core busy while it waits for the GPU"
-            );
+        if provider != ExecutionProvider::Cpu && !settings.gpu.spin {
+            let asked = waiting::let_threads_sleep(settings.gpu.device);
+            if let Err(reason) = asked {
+                info!(
+                    reason,
+                    "the processor keeps a core busy while it waits for the GPU"
+                );
+            }
         }
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
@@ -145,7 +145,7 @@ impl OnnxSession {
     }
 
     /// Keeps the time from the start of the build to the end of the first run, if TensorRT has built an engine in it.
-    pub(crate) fn was_built_in(&self, took: Duration) {
+    pub(crate) fn keep_build_time(&self, took: Duration) {
         if self.provider == ExecutionProvider::TensorRt
             && let Some(engines) = &self.engines
             && !engines.is_built()
@@ -189,14 +189,17 @@ impl OnnxSession {
             ExecutionProvider::TensorRt => ExecutionProvider::Cuda,
             provider => provider,
         };
-        let opened = open(here).or_else(|error| {
-            warn!(
-                provider = here.as_str(),
-                error = in_words(&error),
-                "pictures are converted by the processor"
-            );
-            open(ExecutionProvider::Cpu)
-        });
+        let opened = match open(here) {
+            Err(error) if here != ExecutionProvider::Cpu => {
+                warn!(
+                    provider = here.as_str(),
+                    error = in_words(&error),
+                    "pictures are converted by the processor"
+                );
+                open(ExecutionProvider::Cpu)
+            }
+            opened => opened,
+        };
         let failed = |error: ort::Error| {
             StartError::first_run(
                 &settings.model,
@@ -242,8 +245,12 @@ impl OnnxSession {
         for input in &signature.inputs {
             match beside(input, size, batch) {
                 Some(numbers) => inputs.push(numbers.map_err(failed)?),
-                // The signature has been checked: there is one picture.
-                None => inputs.extend(picture.take()),
+                None => {
+                    // The signature has been checked: there is one picture.
+                    if let Some(picture) = picture.take() {
+                        inputs.push(picture);
+                    }
+                }
             }
         }
         let outputs = session.run(inputs.as_slice()).map_err(failed)?;

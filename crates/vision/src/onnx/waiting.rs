@@ -8,7 +8,7 @@ use std::thread::Builder;
 ///
 /// # Errors
 /// If the driver is older than that of CUDA 12.1, which brought the call, or refuses.
-pub(super) fn sleep(device: u32) -> Result<(), String> {
+pub(super) fn let_threads_sleep(device: u32) -> Result<(), String> {
     // On a thread of its own: the call binds its thread to the device, and a driver without the call is a panic there.
     let thread = Builder::new().name("cuda-waiting".to_owned()).spawn(move || {
         let context = CudaContext::new(device as usize)?;
@@ -55,7 +55,7 @@ mod tests {
     /// The test below runs it in a process of its own, which has loaded no other driver.
     #[test]
     fn whatever_the_driver_is_there_is_an_answer() {
-        println!("answer: {:?}", sleep(2));
+        println!("answer: {:?}", let_threads_sleep(2));
     }
 
     /// What the test above is answered by a driver built with `options`, and what that was asked for.

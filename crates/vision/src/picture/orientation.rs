@@ -173,12 +173,12 @@ fn tag(tiff: &[u8]) -> Option<u16> {
         })
     };
     let first_directory = *tiff.get(4..)?.first_chunk::<4>()?;
-    let directory = if is_little {
+    let begins_at = if is_little {
         u32::from_le_bytes(first_directory)
     } else {
         u32::from_be_bytes(first_directory)
     };
-    let directory = usize::try_from(directory).ok()?;
+    let directory = usize::try_from(begins_at).ok()?;
     let entries = usize::from(short(directory)?);
     for entry in 0..entries {
         // An entry has 12 bytes: tag, type, count, value. Its number precedes them.

@@ -52,13 +52,13 @@ fn raw_pixels(cdr: &mut Cdr, limits: &FrameLimits) -> Result<EncodedPicture, Fra
     let step = cdr.u32("step")? as usize;
     let data = cdr.bytes("data")?;
     // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
-    let format = match encoding.as_str() {
+    let known = match encoding.as_str() {
         "8UC3" => Some(PictureFormat::Bgr8),
         "8UC4" => Some(PictureFormat::Bgra8),
         "8UC1" => Some(PictureFormat::Gray8),
         named => PictureFormat::raw_from_name(named),
     };
-    let format = format.ok_or_else(|| {
+    let format = known.ok_or_else(|| {
         let start: String = encoding.chars().take(32).collect();
         FrameFault::unknown_format(format!(
             "ROS image encoding {start:?} is not supported; rgb8, bgr8, rgba8, bgra8, mono8, mono16, bayer_*, yuyv, \

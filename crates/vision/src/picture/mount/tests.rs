@@ -50,7 +50,8 @@ fn a_picture_is_turned_then_mirrored_then_cropped() {
         let picture = mounted(picture.clone(), &mount);
         let seen = decoded(&picture, None);
         assert_eq!(seen.pixels, expected, "{mount:?}");
-        assert_eq!((seen.size.width, seen.size), (columns, picture.size));
+        assert_eq!(seen.size.width, columns);
+        assert_eq!(seen.size, picture.size);
         assert_eq!(seen.source_size, picture.size);
     }
 }
@@ -172,7 +173,10 @@ fn a_picture_that_is_scaled_while_it_is_decoded_is_cropped_at_the_same_place() {
                 .map(|pixel| u32::from(*pixel))
         });
         let mean = square.sum::<u32>() / (factor * factor) as u32;
-        far_off += usize::from(mean.abs_diff(u32::from(*pixel)) > 24);
+        // A tenth of the range: JPEG's own differences stay below it.
+        if mean.abs_diff(u32::from(*pixel)) > 24 {
+            far_off += 1;
+        }
     }
     assert!(
         far_off * 200 < small.pixels.len(),
@@ -186,12 +190,14 @@ fn a_box_is_hidden_once_more_than_half_of_it_lies_in_the_mask() {
     for (bounding_box, hidden) in [
         ([0.75, 0.25, 0.2, 0.2], false),
         ([0.75, 0.75, 0.2, 0.2], true),
-        // In the second polygon only, and its part that the first one does not cover.
+        // In the second polygon only.
         ([0.1, 0.3, 0.1, 0.1], true),
+        // Three quarters of it, then one.
         ([0.9, 0.55, 0.1, 0.2], true),
         ([0.9, 0.45, 0.1, 0.2], false),
-        // A large box with a small part in it, and one of which the picture shows only what lies in it.
+        // Three eighths of a large box.
         ([0.8, 0.4, 0.4, 0.8], false),
+        // Half of it is below the picture, and what is seen lies in the mask.
         ([0.5, 1.0, 0.2, 0.6], true),
     ] {
         assert_eq!(mount.hides(bounding_box.into()), hidden, "{bounding_box:?}");
@@ -239,14 +245,16 @@ fn what_cannot_be_meant_is_said_with_its_key() {
         (masked(&[&all]), "mask", "covers the whole picture"),
     ] {
         let problems = mount.problems();
-        assert_eq!(problems.len(), 1, "{problems:?}");
-        assert_eq!(problems[0].0, key);
-        assert!(problems[0].1.contains(part), "{problems:?}");
+        let [(found_key, reason)] = problems.as_slice() else {
+            panic!("not one problem: {problems:?}");
+        };
+        assert_eq!(*found_key, key);
+        assert!(reason.contains(part), "{problems:?}");
     }
-    let right = Mount {
+    let usable = Mount {
         rotate: 270,
         flip: Some(Flip::Vertical),
         ..masked(&[LOWER_HALF, LOWER_LEFT])
     };
-    assert_eq!(right.problems(), []);
+    assert_eq!(usable.problems(), []);
 }
