@@ -244,9 +244,9 @@ pub struct InputMapping {
     /// Input row of the picture's top edge.
     offset_y: f64,
     /// Input columns of the whole picture.
-    width: f64,
+    pub(super) width: f64,
     /// Input rows of the whole picture.
-    height: f64,
+    pub(super) height: f64,
 }
 
 impl InputMapping {
