@@ -26,7 +26,8 @@ pub struct AuditReport {
 }
 
 impl AuditReport {
-    /// Adds the counts of `more`.
+    /// Adds the counts of `more`. `share` stays, because it is configured and not counted; so does `joules`, which is set
+    /// once, from `detector_us`, when the clip is reported.
     pub fn merge(&mut self, more: &Self) {
         self.calls = self.calls.saturating_add(more.calls);
         self.detector_us = self.detector_us.saturating_add(more.detector_us);
@@ -65,6 +66,7 @@ pub struct AuditFigures {
 impl AuditFigures {
     /// Returns the figures for `sums` and `calls` detector calls that took `detector_us` microseconds.
     pub fn new(sums: &AuditSums, calls: u64, detector_us: u64) -> Self {
+        // Whole milliseconds are exact enough for a sum over many calls.
         let detector_ms = detector_us / 1000;
         Self {
             drawn: sums.drawn(),
@@ -79,13 +81,13 @@ impl AuditFigures {
     }
 }
 
-/// Rounds shares to four decimals: an audit of some thousand boxes knows no more.
+/// Rounds the shares to four decimals and the independent boxes to one: an audit of some thousand boxes is no more exact.
 fn rounded(rate: AuditRate) -> AuditRate {
-    let share = |value: f64| (value * 1e4).round() / 1e4;
+    let rounded_share = |share: f64| (share * 1e4).round() / 1e4;
     AuditRate {
-        rate: share(rate.rate),
-        low: share(rate.low),
-        high: share(rate.high),
+        rate: rounded_share(rate.rate),
+        low: rounded_share(rate.low),
+        high: rounded_share(rate.high),
         boxes: rate.boxes,
         independent: (rate.independent * 10.0).round() / 10.0,
     }
