@@ -64,7 +64,7 @@ impl RecordingFile {
     ) -> Result<(), RecordingError> {
         let t_ns = detections.t_ns;
         let boxes = annotations(&detections.boxes, t_ns, detections.height);
-        self.picture(camera, Topic::Image, picture, t_ns)?;
+        self.picture(camera, Topic::Image, t_ns, picture)?;
         self.put(camera, Topic::Boxes, t_ns, &boxes.encode_to_vec())?;
         let figures = figures(detections, position).encode_to_vec();
         self.put(camera, Topic::Figures, t_ns, &figures)?;
@@ -92,7 +92,7 @@ impl RecordingFile {
     ) -> Result<(), RecordingError> {
         let t_ns = audit.t_ns;
         let boxes = annotations(&audit.detected, t_ns, audit.height);
-        self.picture(camera, Topic::AuditImage, picture, t_ns)?;
+        self.picture(camera, Topic::AuditImage, t_ns, picture)?;
         self.put(camera, Topic::AuditBoxes, t_ns, &boxes.encode_to_vec())?;
         self.put_json(camera, Topic::Audit, t_ns, audit)
     }
@@ -134,8 +134,8 @@ impl RecordingFile {
         &mut self,
         camera: &str,
         topic: Topic,
-        data: Bytes,
         t_ns: u64,
+        data: Bytes,
     ) -> Result<(), RecordingError> {
         let image = CompressedImage {
             timestamp: timestamp(t_ns),
@@ -207,29 +207,30 @@ impl RecordingFile {
 
 /// A writer of a new file, and the file itself, to wait for the disk.
 pub(crate) fn create_writer(path: &Path) -> Result<(Writer<NoSeek<File>>, File), RecordingError> {
-    let mut options = OpenOptions::new();
-    let file = options.write(true).create_new(true).mode(OWNER_ONLY).open(path)?;
+    let file = OpenOptions::new().write(true).create_new(true).mode(OWNER_ONLY).open(path)?;
     let written = file.try_clone()?;
     // Without seeking, a chunk reaches the file in one piece, after those before it.
-    let options = WriteOptions::new()
+    let writer = WriteOptions::new()
         .compression(None)
         .disable_seeking(true)
         .chunk_size(Some(CHUNK_BYTES))
-        .library(concat!("albireo ", env!("CARGO_PKG_VERSION")));
-    Ok((options.create(NoSeek::new(written))?, file))
+        .library(concat!("albireo ", env!("CARGO_PKG_VERSION")))
+        .create(NoSeek::new(written))?;
+    Ok((writer, file))
 }
 
 /// What a viewer plots of a frame.
 fn figures(detections: &DetectionsMessage, position: Option<&Position>) -> Figures {
     // As a number, because viewers plot no names.
-    let state = FrameState::ALL.iter().position(|state| *state == detections.state);
+    let state_index = FrameState::ALL.iter().position(|state| *state == detections.state);
+    let state_number = state_index.and_then(|index| i32::try_from(index).ok());
     let threshold = detections.threshold.map(|threshold| threshold.value);
     let objects = detections.boxes.iter().filter_map(|found| found.object);
     Figures {
         timestamp: timestamp(detections.t_ns),
         seq: detections.seq,
-        state: state.and_then(|state| i32::try_from(state).ok()).unwrap_or(-1),
-        skipped: detections.state.is_skipped() && !detections.degraded,
+        state: state_number.unwrap_or(-1),
+        skipped: detections.skipped_detector(),
         degraded: detections.degraded,
         tau_max: detections.tau_max.unwrap_or(f64::NAN),
         threshold: threshold.unwrap_or(f64::NAN),

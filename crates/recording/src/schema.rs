@@ -28,6 +28,7 @@ enum Kind {
     Uint64s,
 }
 
+// Without `Message`, which would clash with the trait of that name.
 use Kind::{Bool, Bytes, Double, Enum, Int32, Int64, Messages, Text, Uint32, Uint64, Uint64s};
 
 /// A field: its name, its number in the encoded message, and its type.

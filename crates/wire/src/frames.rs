@@ -134,6 +134,13 @@ pub struct DetectionsMessage {
     pub latency_ms: Latency,
 }
 
+impl DetectionsMessage {
+    /// True if the frame needed no detector. A degraded frame needed it, although its state is `P`, too.
+    pub const fn skipped_detector(&self) -> bool {
+        self.state.is_skipped() && !self.degraded
+    }
+}
+
 /// The boxes of one frame for recordings, interpolated between two detector calls if the second came in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SettledMessage {

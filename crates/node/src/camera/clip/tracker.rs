@@ -160,7 +160,7 @@ impl ClipTracker {
         if let Some(run) = frame.times.detector_run {
             self.energy.detector_called(run.end, run.used);
         }
-        if frame.detections.state.is_skipped() && !frame.detections.degraded {
+        if frame.detections.skipped_detector() {
             self.energy.call_avoided();
         }
     }

@@ -214,7 +214,7 @@ impl History {
         }
         let open = &mut self.hour.open;
         open.frames += 1;
-        open.skipped += u32::from(frame.state.is_skipped() && !frame.degraded);
+        open.skipped += u32::from(frame.skipped_detector());
         open.degraded += u32::from(frame.degraded);
         open.calls += u32::from(frame.cause.is_some());
         if let Some(time) = frame.latency_ms.detector
