@@ -11,7 +11,6 @@ use albireo_wire::NodeKeys;
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
-use std::slice::from_ref;
 
 /// Returns Zenoh's `access_control` section for the unrevoked certificates in `folder`, with keys under `prefix`. With
 /// `pictures`, a hub may query nodes for camera pictures.
@@ -30,9 +29,9 @@ pub fn access_control(
         let found = subject(&file)?;
         let expected = entry.common_name();
         if found != expected {
-            let file = file.display();
             return other(format!(
-                "{file} is a certificate of `{found}`, but must be one of `{expected}`"
+                "{} is a certificate of `{found}`, but must be one of `{expected}`",
+                file.display()
             ));
         }
     }
@@ -119,14 +118,14 @@ impl Rules<'_> {
         let changed = self.all.changed();
         let alive = self.all.alive();
         let mut ids = vec![
-            self.allow("hub notices", "ingress", &["put"], from_ref(&changed)),
+            self.allow("hub notices", "ingress", &["put"], &[changed.clone()]),
             self.allow("hub answers", "ingress", &ANSWERS, &queried),
             self.allow("hub hears", "ingress", &["declare_subscriber"], &published),
             self.allow(
                 "hub watches",
                 "ingress",
                 &["declare_liveliness_subscriber", "liveliness_query"],
-                from_ref(&alive),
+                &[alive.clone()],
             ),
             self.allow("to hubs", "egress", &["put"], &published),
             self.allow("questions to hubs", "egress", &["query"], &queried),
@@ -244,6 +243,45 @@ mod tests {
         }
     }
 
+    /// The rules for the certificate `subject`, one a line: flow, messages, keys.
+    fn rules_of(access: &Value, subject: &str) -> String {
+        let policies = access["policies"].as_array().unwrap();
+        let of_subject = |policy: &&Value| policy["subjects"][0] == subject;
+        let policy = policies.iter().find(of_subject).unwrap();
+        let ids = policy["rules"].as_array().unwrap();
+        let mut lines = String::new();
+        for rule in access["rules"].as_array().unwrap() {
+            if ids.contains(&rule["id"]) {
+                let flow = rule["flows"][0].as_str().unwrap();
+                let messages = rule["messages"].to_string();
+                let keys = rule["key_exprs"].to_string();
+                lines.push_str(&format!("{flow} {messages} {keys}\n").replace('"', ""));
+            }
+        }
+        lines
+    }
+
+    const OF_A_NODE: &str = "\
+egress [put] [fleet/@changed/*]
+egress [reply] [fleet/@report/*,fleet/@pull/*]
+egress [declare_subscriber,declare_queryable] [fleet/@report/*,fleet/@pull/*,fleet/@status/*,fleet/*/*/counters]
+ingress [put] [fleet/@status/car-7,fleet/car-7/*/counters]
+ingress [query] [fleet/@report/car-7,fleet/@pull/car-7]
+ingress [declare_subscriber] [fleet/@changed/car-7]
+ingress [liveliness_token] [fleet/@alive/car-7]
+";
+    const OF_A_NODE_WITH_PICTURES: &str = "\
+egress [put] [fleet/@changed/*]
+egress [reply] [fleet/@report/*,fleet/@pull/*]
+egress [declare_subscriber,declare_queryable] [fleet/@report/*,fleet/@pull/*,fleet/@status/*,fleet/*/*/counters]
+egress [query] [fleet/*/*/picture]
+ingress [put] [fleet/@status/car-7,fleet/car-7/*/counters]
+ingress [query] [fleet/@report/car-7,fleet/@pull/car-7]
+ingress [declare_subscriber] [fleet/@changed/car-7]
+ingress [liveliness_token] [fleet/@alive/car-7]
+ingress [declare_queryable,reply] [fleet/car-7/*/picture]
+";
+
     #[test]
     fn a_node_may_do_only_what_its_role_needs() {
         let entries = [
@@ -251,20 +289,22 @@ mod tests {
             entry(Role::Hub, "hub", 1, None),
         ];
         let all: Vec<_> = entries.iter().collect();
-        let rules_with = |pictures: bool| rules(&all, "fleet/north", pictures).unwrap();
-        let access = rules_with(false);
-        assert_eq!(access["default_permission"], "deny");
+        for (pictures, expected) in [(false, OF_A_NODE), (true, OF_A_NODE_WITH_PICTURES)] {
+            let access = rules(&all, "fleet", pictures).unwrap();
+            assert_eq!(access["default_permission"], "deny");
+            assert_eq!(rules_of(&access, "node/car-7/2"), expected);
+        }
+    }
+
+    #[test]
+    fn no_rule_is_made_that_no_certificate_needs() {
+        let node = entry(Role::Node, "car-7", 2, None);
+        let pictures = false;
+        let access = rules(&[&node], "fleet/north", pictures).unwrap();
         let text = access["rules"].to_string();
-        assert!(text.contains("\"fleet/north/car-7/*/counters\""), "{text}");
-        assert!(!text.contains("routers"), "no router has a certificate");
-        assert!(!text.contains("picture"), "nobody asked for pictures");
-        for pictures in [false, true] {
-            let access = rules_with(pictures);
-            let mut policies = access["policies"].as_array().unwrap().iter();
-            let of_the_node = policies.find(|one| one["subjects"][0] == "node/car-7/2").unwrap();
-            let own = of_the_node["rules"].to_string();
-            assert!(!own.contains("hub "), "{own}");
-            assert_eq!(own.contains("car-7 shows pictures"), pictures, "{own}");
+        assert!(text.contains("fleet/north/car-7/*/counters"), "{text}");
+        for nobodys in ["router", "hub", "picture"] {
+            assert!(!text.contains(nobodys), "{nobodys}: {text}");
         }
     }
 
@@ -276,7 +316,8 @@ mod tests {
         ) {
             let entries: Vec<_> = names.iter().map(|name| entry(Role::Node, name, 1, None)).collect();
             let all: Vec<_> = entries.iter().collect();
-            let Ok(access) = rules(&all, &prefix, true) else { return Ok(()) };
+            let pictures = true;
+            let Ok(access) = rules(&all, &prefix, pictures) else { return Ok(()) };
             let taken = zenoh::Config::default().insert_json5("access_control", &access.to_string());
             prop_assert!(taken.is_ok(), "{taken:?}");
             let rules = access["rules"].as_array().unwrap();
@@ -284,14 +325,14 @@ mod tests {
                 let subject = policy["subjects"][0].as_str().unwrap();
                 for other in entries.iter().filter(|other| other.common_name() != subject) {
                     let keys = NodeKeys::new(&prefix, &other.name).unwrap();
-                    let own = [keys.status(), keys.report(), keys.pull(), keys.changed(), keys.alive()]
+                    let others_keys = [keys.status(), keys.report(), keys.pull(), keys.changed(), keys.alive()]
                         .map(|key| KeyExpr::new(key).unwrap());
                     let sent = rules.iter().filter(|rule| {
                         rule["flows"][0] == "ingress" && policy["rules"].as_array().unwrap().contains(&rule["id"])
                     });
                     for key in sent.flat_map(|rule| rule["key_exprs"].as_array().unwrap()) {
                         let key = KeyExpr::new(key.as_str().unwrap()).unwrap();
-                        prop_assert!(!own.iter().any(|own| key.intersects(own)), "{subject} may send {key}, which is of {}", other.name);
+                        prop_assert!(!others_keys.iter().any(|its| key.intersects(its)), "{subject} may send {key}, which is of {}", other.name);
                     }
                 }
             }
@@ -302,7 +343,9 @@ mod tests {
     fn a_list_of_only_revoked_certificates_is_an_error() {
         let folder = Path::new("/nowhere");
         let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
-        let refused = access_control(folder, &revoked, "albireo", false).unwrap_err().to_string();
-        assert!(refused.contains("no valid certificate"), "{refused}");
+        let pictures = false;
+        let refused = access_control(folder, &revoked, "albireo", pictures).unwrap_err();
+        let reason = refused.to_string();
+        assert!(reason.contains("no valid certificate"), "{reason}");
     }
 }

@@ -61,9 +61,9 @@ impl Authority {
     pub fn create(folder: &Path, name: &str, lasts: Duration) -> Result<Self, RouterError> {
         let file = folder.join(AUTHORITY);
         if file.exists() || folder.join(AUTHORITY_KEY).exists() {
-            let file = file.display();
             return other(format!(
-                "{file} exists already: a new authority would invalidate every certificate of the old one"
+                "{} exists already: a new authority would invalidate every certificate of the old one",
+                file.display()
             ));
         }
         create_folder(folder)?;

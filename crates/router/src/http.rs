@@ -18,7 +18,8 @@ pub(crate) struct RouterView {
     pub(crate) certificates: Certificates,
     /// The router's session, once open.
     pub(crate) session: Arc<OnceLock<Session>>,
-    pub(crate) max_sessions: u64,
+    /// Most sessions; `None` if the configuration says no number.
+    pub(crate) max_sessions: Option<u64>,
 }
 
 impl RouterView {
@@ -28,8 +29,8 @@ impl RouterView {
         Some(session.info().transports().await.count())
     }
 
-    /// The reason that the router does not work; `None` if it does.
-    pub(crate) fn reason(&self) -> Option<String> {
+    /// Why the router does not work; `None` if it does.
+    pub(crate) fn fault(&self) -> Option<String> {
         match self.session.get() {
             None => Some("it does not listen yet".to_owned()),
             Some(session) if session.is_closed() => Some("its session is closed".to_owned()),
@@ -51,7 +52,7 @@ async fn healthz() -> Json<serde_json::Value> {
 }
 
 async fn readyz(State(view): State<RouterView>) -> Response {
-    match view.reason() {
+    match view.fault() {
         None => {
             let sessions = view.sessions().await;
             let mut answer = serde_json::json!({ "ready": true, "sessions": sessions });
@@ -60,10 +61,8 @@ async fn readyz(State(view): State<RouterView>) -> Response {
             }
             Json(answer).into_response()
         }
-        Some(reason) => {
-            albireo_service::http::Problem::new(StatusCode::SERVICE_UNAVAILABLE, reason)
-                .into_response()
-        }
+        Some(fault) => albireo_service::http::Problem::new(StatusCode::SERVICE_UNAVAILABLE, fault)
+            .into_response(),
     }
 }
 
@@ -78,7 +77,7 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
     page.gauge(
         "albireo_router_ready",
         "Whether the router accepts sessions",
-        f64::from(u8::from(view.reason().is_none())),
+        f64::from(u8::from(view.fault().is_none())),
     );
     page.gauge(
         "albireo_router_sessions",
@@ -88,7 +87,7 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
     page.gauge(
         "albireo_router_sessions_limit",
         "Most sessions; further ones are refused",
-        view.max_sessions as f64,
+        view.max_sessions.map(|sessions| sessions as f64),
     );
     page.gauge(
         "albireo_router_probe_seconds",

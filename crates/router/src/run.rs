@@ -76,7 +76,8 @@ impl RouterOptions {
         Ok(config)
     }
 
-    /// Finds files with secrets that other users of this machine can read.
+    /// Finds files with secrets that other users of this machine can read. Names none of a configuration that cannot be used,
+    /// which [`zenoh`](Self::zenoh) explains.
     pub fn exposed_here(&self) -> Vec<Finding> {
         let config = self.zenoh().ok();
         let keys = config.iter().flat_map(|config| identity::tls_files(config, "private_key"));
@@ -105,12 +106,11 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), RouterError> {
     let config = options.zenoh()?;
-    let http = options.http();
-    let max_sessions = config
-        .get_json("transport/unicast/max_sessions")
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(0);
+    let http_config = options.http();
+    let max_sessions = match config.get_json("transport/unicast/max_sessions") {
+        Ok(number) => number.parse().ok(),
+        Err(_) => None,
+    };
     let view = RouterView {
         probes: Probes::default(),
         certificates: Certificates::read(identity::tls_files(&config, "certificate")),
@@ -121,10 +121,19 @@ pub async fn run(
     // monitor.
     let stop_serving = CancellationToken::new();
     let routes = http::routes(view.clone());
+    let no_named_tokens = [];
     let methods = [axum::http::Method::GET];
     let stop = stop_serving.clone();
     let serving = async {
-        let served = albireo_service::http::run(&http, &[], &methods, routes, listener, stop).await;
+        let served = albireo_service::http::run(
+            &http_config,
+            &no_named_tokens,
+            &methods,
+            routes,
+            listener,
+            stop,
+        )
+        .await;
         shutdown.cancel();
         served
     };
@@ -167,15 +176,17 @@ async fn route(
         "ready"
     );
     let readiness = Readiness::default();
-    let probed = view.clone();
-    let probes = view.probes.clone();
-    readiness.probe("router", "", move || probed.reason().map(Fault::not_ready));
+    let router_view = view.clone();
+    readiness.probe("router", "", move || {
+        router_view.fault().map(Fault::not_ready)
+    });
     let certificates = view.certificates.clone();
     readiness.probe(identity::PART, "", move || {
         certificates.fault().map(Fault::degraded)
     });
     let following = tokio::spawn(view.certificates.clone().follow());
     let watching = tokio::spawn(readiness.clone().watch(Duration::from_secs(1)));
+    let probes = view.probes.clone();
     let notifier = tokio::spawn(notify::run(
         move || (readiness.health().status(), probes.seen().stuck()),
         shutdown.clone(),
@@ -185,6 +196,7 @@ async fn route(
         let probing = view.probes.run(&router_config, endpoint, period);
         shutdown.run_until_cancelled(probing).await;
     }
+    // Without an endpoint there was nothing to probe until now.
     shutdown.cancelled().await;
     let _ = notifier.await;
     following.abort();
