@@ -78,6 +78,7 @@ pub async fn run(
     if let Ok(ended) = tokio::time::timeout(options.drain, all_ended(&mut playing)).await {
         ended?;
     }
+    let drained_s = draining.elapsed().as_secs_f64();
     playing.shutdown().await;
     for session in sessions {
         if let Err(error) = session.close().await {
@@ -90,7 +91,7 @@ pub async fn run(
         sessions: options.sessions,
         opened_s,
         played_s,
-        drained_s: draining.elapsed().as_secs_f64(),
+        drained_s,
         counts,
         answers: totals.answers.summary(),
     })

@@ -57,8 +57,9 @@ pub(crate) struct SimNode {
     region: &'static str,
     started_ns: u64,
     options: Arc<Options>,
-    /// Reports made, and reports that a hub has acknowledged.
+    /// The number of reports made.
     pub(crate) made: u64,
+    /// The number of reports that a hub has acknowledged: the oldest ones.
     pub(crate) acknowledged: u64,
     /// The revision in force.
     pub(crate) revision: u64,
@@ -166,9 +167,8 @@ impl SimNode {
     /// The reason why it cannot be in force.
     fn put_in_force(&mut self, setting: DesiredSetting) -> Result<(), &'static str> {
         match setting {
-            DesiredSetting::Target(target) => {
-                self.target = target.map(|target| self.hold(target));
-            }
+            DesiredSetting::Target(None) => self.target = None,
+            DesiredSetting::Target(Some(target)) => self.target = Some(self.hold(target)),
             DesiredSetting::Threshold(threshold) => {
                 if threshold.name.as_str() != "u" {
                     return Err("the threshold of the policy in use is `u`");
@@ -193,29 +193,30 @@ impl SimNode {
     /// Holds a target. The simulated street has a skip rate for each `u`, so the target is reached immediately, as if a
     /// controller had settled; there are no figures for power and recall.
     fn hold(&mut self, target: Target) -> NodeTarget {
-        let (status, actual) = match target {
+        let mut held = NodeTarget {
+            target,
+            source: SettingSource::Hub,
+            status: None,
+            actual: None,
+        };
+        match target {
             Target::SkipRate(rate) => {
-                let u = FIRST_U * 10_f64.powf((rate - FIRST_SKIP) / SKIP_PER_DECADE);
-                let held = u.clamp(*HELD_WITHIN.start(), *HELD_WITHIN.end());
-                self.set_u(held);
-                let status = if u > held {
+                let wanted_u = FIRST_U * 10_f64.powf((rate - FIRST_SKIP) / SKIP_PER_DECADE);
+                let u = wanted_u.clamp(*HELD_WITHIN.start(), *HELD_WITHIN.end());
+                self.set_u(u);
+                held.actual = Some(skip_rate(u));
+                held.status = Some(if wanted_u > u {
                     TargetStatus::CannotBeMet
-                } else if u < held {
+                } else if wanted_u < u {
                     TargetStatus::MoreThanKept
                 } else {
                     TargetStatus::Held
-                };
-                (status, Some(skip_rate(held)))
+                });
             }
-            Target::Recall(_) => (TargetStatus::NoAudit, None),
-            _ => (TargetStatus::NoPower, None),
-        };
-        NodeTarget {
-            target,
-            source: SettingSource::Hub,
-            status: Some(status),
-            actual,
+            Target::Recall(_) => held.status = Some(TargetStatus::NoAudit),
+            Target::Watts(_) => held.status = Some(TargetStatus::NoPower),
         }
+        held
     }
 
     /// The value in force.
@@ -313,6 +314,7 @@ mod tests {
     use albireo_wire::ClipReport;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
+    use uuid::Uuid;
 
     fn node(options: Options) -> SimNode {
         let options = Options { seed: 1, ..options };
@@ -331,10 +333,13 @@ mod tests {
     fn an_older_revision_is_ignored_and_a_rejection_is_reported_once() {
         let mut node = node(Options::default());
         assert!(node.apply(&desired(5, 1e-3)));
-        assert!(!node.apply(&desired(5, 1e-3)) && !node.apply(&desired(4, 1e-4)));
-        assert_eq!((node.u(), node.revision), (1e-3, 5));
-        assert!(node.apply(&desired(6, 7.0)));
-        assert_eq!((node.u(), node.revision), (1e-3, 5));
+        assert!(!node.apply(&desired(5, 1e-3)), "the same revision again");
+        assert!(!node.apply(&desired(4, 1e-4)), "an older revision");
+        assert_eq!(node.u(), 1e-3);
+        assert_eq!(node.revision, 5);
+        assert!(node.apply(&desired(6, 7.0)), "a value out of range");
+        assert_eq!(node.u(), 1e-3);
+        assert_eq!(node.revision, 5);
         let full = node.status(0).full.unwrap();
         assert_eq!(full.refused.unwrap().revision, 6);
         assert!(!node.apply(&desired(6, 7.0)));
@@ -370,9 +375,11 @@ mod tests {
         for index in 0..100 {
             let node = SimNode::new(index, &options, started);
             waiting.insert(node.waiting());
-            let batch = node.batch(10, started);
-            let mut reports = batch.iter().flat_map(|batch| &batch.reports);
-            assert!(reports.all(|report| report.started_ns < started));
+            if let Some(batch) = node.batch(10, started) {
+                for report in &batch.reports {
+                    assert!(report.started_ns < started);
+                }
+            }
         }
         assert_eq!(waiting, (0..8).collect());
     }
@@ -381,23 +388,27 @@ mod tests {
         #[test]
         fn every_report_is_sent_under_one_id_until_it_is_acknowledged(steps in prop::collection::vec((0u64..5, 1u64..8, any::<bool>()), 1..50)) {
             let mut node = node(Options::default());
-            let mut sent = BTreeSet::new();
+            let mut id_of = BTreeMap::<u64, Uuid>::new();
             let mut acknowledged = 0;
             for (more, most, is_answered) in steps {
                 node.made += more;
                 if let Some(batch) = node.batch(most, 1_000_000_000_000_000_000) {
-                    let counts: Vec<_> = batch.reports.iter().filter_map(|report| report.count).collect();
-                    let wanted: Vec<_> = (acknowledged + 1..).take(counts.len()).collect();
-                    prop_assert_eq!(&counts, &wanted);
-                    sent.extend(batch.reports.iter().map(|report| report.id));
-                    if is_answered {
-                        acknowledged += counts.len() as u64;
-                        node.acknowledge(counts.len() as u64);
+                    let reports = batch.reports.len() as u64;
+                    for (count, report) in (acknowledged + 1..).zip(&batch.reports) {
+                        prop_assert_eq!(report.count, Some(count));
+                        let first_id = *id_of.entry(count).or_insert(report.id);
+                        prop_assert_eq!(report.id, first_id);
                     }
-                    prop_assert!(node.acknowledged == acknowledged && acknowledged <= node.made);
+                    if is_answered {
+                        acknowledged += reports;
+                        node.acknowledge(reports);
+                    }
                 }
+                prop_assert_eq!(node.acknowledged, acknowledged);
+                prop_assert!(acknowledged <= node.made);
             }
-            prop_assert!(sent.len() as u64 >= acknowledged && sent.len() as u64 <= node.made);
+            let distinct: BTreeSet<&Uuid> = id_of.values().collect();
+            prop_assert_eq!(distinct.len(), id_of.len(), "two reports under one id");
         }
     }
 }

@@ -147,16 +147,16 @@ impl Player {
         } else {
             None
         };
-        let status = Duration::from_secs_f64(self.node.heartbeat_s);
-        let clip = Duration::from_secs_f64(self.options.clip_s);
+        let first_status_period = self.status_period().min(FIRST_STATUSES);
+        let clip_period = Duration::from_secs_f64(self.options.clip_s);
         let mut hash = self.options.seed;
         for byte in self.node.name.bytes() {
             hash = mix(hash, byte.into());
         }
         // Spreads the times of all nodes over the period.
         let spread = |period: Duration, draw| period.mul_f64(unit(mix(hash, draw)));
-        let mut next_status = began + spread(status.min(FIRST_STATUSES), DRAW_FIRST_STATUS);
-        let mut next_clip = began + spread(clip, DRAW_FIRST_CLIP);
+        let mut next_status = began + spread(first_status_period, DRAW_FIRST_STATUS);
+        let mut next_clip = began + spread(clip_period, DRAW_FIRST_CLIP);
         self.pull();
         while !(self.is_ending && self.node.waiting() == 0) {
             let resend_at = self.resend_at;
@@ -164,38 +164,47 @@ impl Player {
                 Some(Ok(request)) = self.requests.join_next() => self.request_ended(request, began),
                 () = notice.notified() => self.pull(),
                 () = sleep_until(next_status), if !self.is_ending => {
-                    let status = Duration::from_secs_f64(self.node.heartbeat_s);
+                    let period = self.status_period();
                     // All nodes are known soon; from then on, their times are spread over the whole period.
                     let is_among_first = next_status < began + FIRST_STATUSES;
-                    next_status += if is_among_first {
+                    let until_next = if is_among_first {
                         // A short draw must not lead to two statuses while the first ones of all nodes still come.
-                        spread(status, DRAW_SECOND_STATUS).max(FIRST_STATUSES.min(status))
+                        let shortest = FIRST_STATUSES.min(period);
+                        spread(period, DRAW_SECOND_STATUS).max(shortest)
                     } else {
-                        status
+                        period
                     };
+                    next_status += until_next;
                     self.send_status();
                 }
                 () = sleep_until(next_clip), if !self.is_ending => {
-                    next_clip += clip;
+                    next_clip += clip_period;
                     self.node.made += 1;
                     self.count(|counts| counts.made += 1);
-                    self.send_batch(self.options.gather);
+                    self.send_batch_of_at_least(self.options.gather);
                 }
+                // Without a time to resend, the branch is off, and its time counts for nothing.
                 () = sleep_until(resend_at.unwrap_or(began)), if resend_at.is_some() => {
                     self.resend_at = None;
-                    self.send_batch(1);
+                    self.send_batch_of_at_least(1);
                 }
                 () = end.cancelled(), if !self.is_ending => {
                     self.is_ending = true;
-                    self.send_batch(1);
+                    self.send_batch_of_at_least(1);
                 }
             }
         }
         Ok(())
     }
 
-    fn count(&self, count: impl FnOnce(&mut Counts)) {
-        count(&mut self.totals.counts.lock());
+    /// The time between two statuses, which the hub may change.
+    fn status_period(&self) -> Duration {
+        Duration::from_secs_f64(self.node.heartbeat_s)
+    }
+
+    /// Lets `add` change the counts that all nodes share.
+    fn count(&self, add: impl FnOnce(&mut Counts)) {
+        add(&mut self.totals.counts.lock());
     }
 
     /// Forwards each notice of the hub to `notice`.
@@ -246,7 +255,7 @@ impl Player {
         } else {
             self.options.gather
         };
-        self.send_batch(least);
+        self.send_batch_of_at_least(least);
         if let Some(desired) = &answer.desired {
             self.apply(desired);
         }
@@ -291,7 +300,7 @@ impl Player {
     }
 
     /// Sends the oldest reports if at least `least` wait and no batch is in flight.
-    fn send_batch(&mut self, least: u64) {
+    fn send_batch_of_at_least(&mut self, least: u64) {
         if self.is_sending || self.node.waiting() < least {
             return;
         }
@@ -307,14 +316,15 @@ impl Player {
             counts.batches += 1;
             counts.batch_bytes += payload.len() as u64;
         });
-        let answer = ask(self.session.clone(), self.keys.report(), payload);
+        let asking = ask(self.session.clone(), self.keys.report(), payload);
         let reports = batch.reports.len() as u64;
         let sent = Instant::now();
         self.requests.spawn(async move {
-            let answer = answer.await;
+            let answer = asking.await;
+            let took = sent.elapsed();
             EndedRequest::Batch(SentBatch {
                 reports,
-                took: sent.elapsed(),
+                took,
                 answer,
             })
         });
@@ -328,8 +338,8 @@ impl Player {
         };
         if let Ok(payload) = serde_json::to_vec(&request) {
             self.count(|counts| counts.pulls += 1);
-            let answer = ask(self.session.clone(), self.keys.pull(), payload);
-            self.requests.spawn(async { EndedRequest::Pull(answer.await) });
+            let asking = ask(self.session.clone(), self.keys.pull(), payload);
+            self.requests.spawn(async { EndedRequest::Pull(asking.await) });
         }
     }
 }
