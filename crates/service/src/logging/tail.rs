@@ -6,6 +6,7 @@ use crate::session::plain;
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::{BTreeSet, VecDeque};
+use std::ops::Range;
 use std::time::{Duration, UNIX_EPOCH};
 use std::{fmt, io};
 use tracing::{Level, Metadata, Subscriber};
@@ -16,12 +17,16 @@ use tracing_subscriber::fmt::{FormatFields, MakeWriter};
 use tracing_subscriber::registry::LookupSpan;
 use utoipa::ToSchema;
 
-/// The number of lines kept, and the maximum length of one in bytes.
+/// The number of lines kept.
 const KEPT: usize = 1000;
+/// The maximum length of a line in bytes; what exceeds it is replaced by an ellipsis.
 const LONGEST: usize = 4096;
+/// The number of a line before it is kept.
+const NOT_NUMBERED: u64 = 0;
 /// The minimum length of a concealed secret: shorter ones would match in ordinary words.
 const SHORTEST_SECRET: usize = 4;
 
+/// Locked before [`SECRETS`] wherever both are needed.
 static LAST: Mutex<VecDeque<LogLine>> = Mutex::new(VecDeque::new());
 static SECRETS: RwLock<BTreeSet<String>> = RwLock::new(BTreeSet::new());
 
@@ -60,23 +65,43 @@ pub fn conceal(secret: &str) {
     if secret.len() < SHORTEST_SECRET {
         return;
     }
+    conceal_in(&mut LAST.lock(), secret);
+}
+
+/// Masks `secret` in the kept `lines` and in all later ones.
+fn conceal_in(lines: &mut VecDeque<LogLine>, secret: &str) {
     let is_new = SECRETS.write().insert(secret.to_owned());
     if is_new {
-        for line in LAST.lock().iter_mut() {
-            mask(&mut line.text);
+        let secrets = SECRETS.read();
+        for line in lines {
+            line.text = masked(&line.text, &secrets);
         }
     }
 }
 
-fn mask(text: &mut String) {
-    // In reverse, so that of two secrets that begin alike the longer one is masked first.
-    for secret in SECRETS.read().iter().rev() {
-        if text.contains(secret.as_str()) {
-            *text = text.replace(secret.as_str(), MASK);
+/// Returns `text` with a mask for each secret in it. Secrets that overlap share a mask, so that no part of one is left.
+fn masked(text: &str, secrets: &BTreeSet<String>) -> String {
+    let mut found: Vec<Range<usize>> = Vec::new();
+    for secret in secrets {
+        for (start, _) in text.match_indices(secret.as_str()) {
+            found.push(start..start + secret.len());
         }
     }
+    found.sort_unstable_by_key(|range| range.start);
+    let mut shown = String::with_capacity(text.len());
+    let mut end = 0;
+    for range in found {
+        if range.start >= end {
+            shown.push_str(&text[end..range.start]);
+            shown.push_str(MASK);
+        }
+        end = end.max(range.end);
+    }
+    shown.push_str(&text[end..]);
+    shown
 }
 
+/// Adds a line under the next number, in place of the oldest one if there are many.
 fn keep(lines: &mut VecDeque<LogLine>, mut line: LogLine) {
     line.number = lines.back().map_or(1, |last| last.number + 1);
     if lines.len() == KEPT {
@@ -145,20 +170,22 @@ impl io::Write for Line {
         if is_zenohs(&self.target) {
             text = plain(&text);
         }
+        // Locked until the line is kept: a secret that is concealed meanwhile is then masked in it, too.
+        let mut lines = LAST.lock();
         // Before truncation: the first half of a secret is also secret.
-        mask(&mut text);
+        text = masked(&text, &SECRETS.read());
         if text.len() > LONGEST {
             text.truncate(text.floor_char_boundary(LONGEST));
             text.push('…');
         }
         let line = LogLine {
-            number: 0,
+            number: NOT_NUMBERED,
             at_ms: crate::clock::unix_milliseconds(),
             level: self.level.as_str(),
             target: std::mem::take(&mut self.target),
             text,
         };
-        keep(&mut LAST.lock(), line);
+        keep(&mut lines, line);
         Ok(event.len())
     }
 
@@ -170,6 +197,8 @@ impl io::Write for Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write as _;
+    use std::sync::Barrier;
     use tracing_subscriber::layer::SubscriberExt;
 
     #[test]
@@ -177,7 +206,7 @@ mod tests {
         let mut lines = VecDeque::new();
         for number in 1..=KEPT + 3 {
             let line = LogLine {
-                number: 0,
+                number: NOT_NUMBERED,
                 at_ms: 1_800_000_000_007,
                 level: "INFO",
                 target: "albireo".to_owned(),
@@ -196,7 +225,7 @@ mod tests {
         assert_eq!(all[0].to_string(), expected);
     }
 
-    // A single test, because the lines and the secrets are global to the process.
+    // The lines and the secrets are global to the process: each test has a target and secrets of its own.
     #[test]
     fn a_line_names_its_span_and_hides_secrets() {
         let _alone = super::super::tests::ONE_SUBSCRIBER.lock();
@@ -205,10 +234,12 @@ mod tests {
             let _inside = span.enter();
             tracing::warn!(target: "tail_test", password = "hush-hush-7", "asked with hush-hush-7 for {}", 3);
             conceal("hush-hush-7");
+            // Too short to be concealed: `asked` stays.
             conceal("ask");
             tracing::error!(target: "tail_test", error = %"no way with hush-hush-7", "refused");
-            let long = "x".repeat(LONGEST - 30)
-                + "hush-hush-7 and much more than fits into one line of it";
+            // With the 22 bytes of the span before it, the secret begins 8 bytes before the longest line ends.
+            let filling = "x".repeat(LONGEST - 30);
+            let long = filling + "hush-hush-7 and much more than fits into one line of it";
             tracing::info!(target: "tail_test", "{long}");
         });
         let kept = lines_after(0, KEPT);
@@ -222,7 +253,49 @@ mod tests {
         let expected = "refused error=no way with (secret)";
         assert!(refused.text.contains(expected), "{refused}");
         assert!(!long.text.contains("hush"), "{long}");
-        assert!(long.text.len() <= LONGEST + 4, "{long}");
+        assert_eq!(long.text.len(), LONGEST + '…'.len_utf8(), "{long}");
         assert!(kept.iter().all(|line| !line.text.contains("hush-hush-7")));
+    }
+
+    #[test]
+    fn of_secrets_that_overlap_no_part_is_left() {
+        let secrets = BTreeSet::from(["bcd1", "abcd1e", "1e23", "next"].map(str::to_owned));
+        assert_eq!(masked("a abcd1e, bcd1", &secrets), "a (secret), (secret)");
+        assert_eq!(masked("abcd1e23 and more", &secrets), "(secret) and more");
+        assert_eq!(masked("bcd1next", &secrets), "(secret)(secret)");
+        assert_eq!(masked("no secret", &secrets), "no secret");
+    }
+
+    #[test]
+    fn a_line_that_is_written_while_its_secret_is_concealed_is_masked() {
+        const TARGET: &str = "tail_race_test";
+        for round in 0..100 {
+            let secret = format!("hush-while-{round:03}");
+            let event = format!("asked with {secret}");
+            let both = Barrier::new(2);
+            std::thread::scope(|scope| {
+                scope.spawn(|| {
+                    let mut line = Line {
+                        level: Level::INFO,
+                        target: TARGET.to_owned(),
+                    };
+                    both.wait();
+                    line.write_all(event.as_bytes()).unwrap();
+                });
+                let mut lines = LAST.lock();
+                both.wait();
+                // Lets the writer come as far as it can without the lines.
+                for _ in 0..20 {
+                    std::thread::yield_now();
+                }
+                conceal_in(&mut lines, &secret);
+            });
+        }
+        let kept = lines_after(0, KEPT);
+        let mine: Vec<_> = kept.iter().filter(|line| line.target == TARGET).collect();
+        assert_eq!(mine.len(), 100);
+        for line in mine {
+            assert_eq!(line.text, "asked with (secret)");
+        }
     }
 }

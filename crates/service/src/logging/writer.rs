@@ -33,7 +33,7 @@ static WRITER: OnceLock<Writer> = OnceLock::new();
 
 /// The writer of the log's lines: it never waits. The first call starts its thread.
 pub(super) fn lines() -> Lines {
-    Lines(writer(io::stderr()).lines.clone())
+    Lines(writer().lines.clone())
 }
 
 /// Makes the writer of each line.
@@ -85,17 +85,19 @@ pub(super) fn is_zenohs(target: &str) -> bool {
     target.starts_with("zenoh")
 }
 
-fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
+/// The writer to standard error. The first call starts it.
+fn writer() -> &'static Writer {
     WRITER.get_or_init(|| {
         let builder = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(WAITING);
-        let (lines, thread) = builder.thread_name("log").finish(to);
+        let (lines, thread) = builder.thread_name("log").finish(io::stderr());
         let dropped = lines.error_counter();
+        let watched = dropped.clone();
         // If the thread cannot be started, the metric still counts the lines.
         let _ = std::thread::Builder::new()
             .name("log-watch".to_owned())
-            .spawn(move || log_drops(&dropped));
+            .spawn(move || log_drops(&watched));
         Writer {
-            dropped: lines.error_counter(),
+            dropped,
             lines,
             thread: Mutex::new(Some(thread)),
         }
@@ -127,7 +129,7 @@ pub fn dropped_lines() -> u64 {
     WRITER.get().map_or(0, |writer| writer.dropped.dropped_lines() as u64)
 }
 
-/// Writes the lines that wait, for about a second at most. Later ones are dropped: call it at the end of the program.
+/// Writes the lines that wait, for 1.5 s at most. Later ones are dropped: call it at the end of the program.
 pub fn finish() {
     let Some(thread) = WRITER.get().and_then(|writer| writer.thread.lock().take()) else {
         return;
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_written_line_of_zenoh_names_no_place_in_its_source() {
+    fn of_zenoh_s_lines_places_in_its_source_and_what_is_logged_with_its_key_are_left_out() {
         let written = Written::default();
         let (to, thread) = NonBlockingBuilder::default().finish(written.clone());
         let mut line_of_zenoh = WrittenLine {
@@ -186,11 +188,12 @@ mod tests {
             to,
             is_zenohs: false,
         };
-        let place = b"  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n";
+        let names_a_place = b"  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n";
         let logged_with_its_key = b"  WARN Unable to open listener tcp/127.0.0.1:1: in use\n";
-        line_of_zenoh.write_all(place).unwrap();
+        line_of_zenoh.write_all(names_a_place).unwrap();
         line_of_zenoh.write_all(logged_with_its_key).unwrap();
-        other_line.write_all(place).unwrap();
+        other_line.write_all(names_a_place).unwrap();
+        // Waits until all lines are written.
         drop(thread);
         let text = String::from_utf8(written.0.lock().clone()).unwrap();
         assert_eq!(
