@@ -7,6 +7,9 @@ use albireo_wire::StatusMessage;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
+/// The threshold with which a simulated node starts.
+const FIRST_U: f64 = 3e-4;
+
 /// Sets a target, or none, with these outcomes.
 async fn hold(hub: &Hub, target: &Value, select: &str, counts: Value) -> Value {
     let body = json!({"target": target, "select": select, "why": "a test"});
@@ -16,8 +19,17 @@ async fn hold(hub: &Hub, target: &Value, select: &str, counts: Value) -> Value {
 /// The target that each node reports.
 fn held(nodes: &Value) -> Vec<Value> {
     let nodes = nodes["nodes"].as_array().unwrap().iter();
-    let held = nodes.map(|node| node["status"]["target"]["target"].clone());
-    held.collect()
+    let targets = nodes.map(|node| node["status"]["target"]["target"].clone());
+    targets.collect()
+}
+
+/// True if the hub has heard each node since the time `since_ms`.
+fn all_heard_since(nodes: &Value, since_ms: i64) -> bool {
+    let mut nodes = nodes["nodes"].as_array().unwrap().iter();
+    nodes.all(|node| match node["heard_ms"].as_i64() {
+        Some(heard_ms) => heard_ms > since_ms,
+        None => false,
+    })
 }
 
 async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_before(database: &str) {
@@ -43,13 +55,14 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let actual = status["actual"].as_f64().unwrap();
     assert!((actual - 0.6).abs() < 1e-9, "{nodes}");
     let us = values(&nodes);
-    assert!(us[0] > 3e-4 && us[2] == 3e-4, "{nodes}");
+    assert!(us[0] > FIRST_U, "{nodes}");
+    assert_eq!(us[2], FIRST_U, "{nodes}");
     let change = answer["revision"].as_u64().unwrap();
     let revisions = hub.get("/api/v1/revisions?node=sim-000004").await;
     let expected = json!({"to": {"target": wanted}, "revision": change, "why": "a test"});
     assert_has(&revisions["revisions"][0], &expected);
     let detail = hub.get(&format!("/api/v1/revisions/{change}")).await;
-    let from = json!({"threshold": {"name": "u", "value": 3e-4}});
+    let from = json!({"threshold": {"name": "u", "value": FIRST_U}});
     let expected = json!({"from": from, "outcome": "applied"});
     assert_has(&detail["nodes"][0], &expected);
     hub.assert_metrics(&[
@@ -78,11 +91,11 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let nodes = hub.get("/api/v1/nodes").await;
     assert_eq!(held(&nodes)[0], *off);
     assert_eq!(values(&nodes)[0], 5e-4);
-    let value = answer["revision"].as_u64().unwrap();
-    assert!(value > change);
+    let revision_of_value = answer["revision"].as_u64().unwrap();
+    assert!(revision_of_value > change);
     let revisions = hub.get("/api/v1/revisions?node=sim-000000").await;
     let expected = json!({
-        "revision": value, "threshold": null, "who": "anonymous",
+        "revision": revision_of_value, "threshold": null, "who": "anonymous",
         "to": {"threshold": {"name": "u", "value": 5e-4}},
     });
     assert_has(&revisions["revisions"][0], &expected);
@@ -90,7 +103,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let answer = hold(&hub, &half, "sim-000000", applied.clone()).await;
     let from = json!({"threshold": {"name": "u", "value": 5e-4}});
     assert_eq!(answer["nodes"][0]["from"], from, "{answer}");
-    assert!(answer["revision"].as_u64().unwrap() > value);
+    assert!(answer["revision"].as_u64().unwrap() > revision_of_value);
 
     // A node that holds a target releases it and keeps its threshold; the others are unchanged.
     let before = values(&hub.get("/api/v1/nodes").await);
@@ -101,32 +114,31 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     assert_eq!(values(&nodes), before);
 
     // A value out of range is refused by the node, with its reason.
-    let last = |u: f64| json!({"u": u, "select": ["sim-000005"]});
-    let answer = put(&hub, last(7.0), json!({"refused": 1})).await;
+    let for_the_last_node = |u: f64| json!({"u": u, "select": ["sim-000005"]});
+    let answer = put(&hub, for_the_last_node(7.0), json!({"refused": 1})).await;
     assert_contains(&answer["nodes"][0]["detail"], &["from 1e-9 to 1"]);
-    let answer = put(&hub, last(5e-4), applied.clone()).await;
-    let revision = answer["revision"].as_u64();
+    let answer = put(&hub, for_the_last_node(5e-4), applied.clone()).await;
+    let revision = answer["revision"].as_u64().unwrap();
     simulated.end().await;
 
     // What is desired survives a restart of the hub: the nodes restart too, and hold nothing at first.
-    let restarted = i64::try_from(now_ns() / 1_000_000).unwrap();
+    let restarted_ms = i64::try_from(now_ns() / 1_000_000).unwrap();
     let hub = hub.restart().await;
     let simulated = SimulatedFleet::start(&hub, fleet(6)).await;
     let nodes = hub
         .until("/api/v1/nodes", |nodes| {
-            let all = nodes["nodes"].as_array().unwrap().iter();
-            let held = held(nodes);
-            all.map(|node| node["heard_ms"].as_i64()).all(|heard| heard > Some(restarted))
-                && held[1] == wanted
-                && held[2] == high
-                && held[4] == wanted
+            let targets = held(nodes);
+            all_heard_since(nodes, restarted_ms)
+                && targets[1] == wanted
+                && targets[2] == high
+                && targets[4] == wanted
                 && values(nodes)[5] == 5e-4
         })
         .await;
     assert_eq!(held(&nodes)[0], *off);
     assert_eq!(held(&nodes)[3], *off);
-    let answer = put(&hub, last(1e-4), applied).await;
-    assert!(answer["revision"].as_u64() > revision, "{answer}");
+    let answer = put(&hub, for_the_last_node(1e-4), applied).await;
+    assert!(answer["revision"].as_u64().unwrap() > revision, "{answer}");
 
     // A rollout leaves out a node that holds a target, and a node in a rollout is given no target.
     let both = ["sim-000001", "sim-000005"];
@@ -146,9 +158,9 @@ on_both!(a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let hub = Hub::fresh_with(|config| config.tuning.local_change = LocalChange::SetBack).await;
-    let mut statuses = 0..;
-    let mut report = async |revision: u64, u: f64| {
-        let seq = statuses.next().unwrap();
+    let mut sequence = 0..;
+    let mut report = async |node: &str, revision: u64, u: f64| {
+        let seq = sequence.next().unwrap();
         let mut status = StatusMessage {
             revision,
             ..full_status(10, seq, &[])
@@ -157,39 +169,52 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
         let camera = json!({"name": "front", "state": "live", "threshold": threshold, "threshold_source": "hub"});
         let cameras = serde_json::from_value(json!([camera])).unwrap();
         status.full.as_mut().unwrap().cameras = cameras;
-        hub.put_status("car-1", &status).await;
+        hub.put_status(node, &status).await;
     };
-    // Without waiting for the node.
-    let give = async |u: f64| {
-        let body = json!({"u": u, "select": "car-1", "wait_s": 0});
+    // Without waiting for the nodes.
+    let give = async |select: &str, u: f64| {
+        let body = json!({"u": u, "select": select, "wait_s": 0});
         let path = "/api/v1/threshold";
         let ok = StatusCode::OK;
         let answer = send(&hub, Method::PUT, path, body, ok).await;
         answer["revision"].as_u64().unwrap()
     };
-    report(0, 3e-4).await;
-    hub.until_state("car-1", "online").await;
-    let mut revision = give(5e-4).await;
-    report(revision, 5e-4).await;
+    for node in ["car-1", "car-2"] {
+        report(node, 0, FIRST_U).await;
+        hub.until_state(node, "online").await;
+    }
+    let first = give("car-1,car-2", 5e-4).await;
+    report("car-1", first, 5e-4).await;
+    report("car-2", first, 5e-4).await;
+    let mut revision = first;
     for times in 1..=3 {
-        report(revision, 9e-4).await;
+        report("car-1", revision, 9e-4).await;
         let drift = hub.until("/api/v1/drift", |drift| drift[0]["set_back"] == times).await;
         assert_eq!(drift[0]["node"], "car-1");
         let revisions = hub.get("/api/v1/revisions").await;
         assert_eq!(revisions["revisions"][0]["origin"], "drift", "{revisions}");
         revision = revisions["revisions"][0]["revision"].as_u64().unwrap();
-        report(revision, 5e-4).await;
-        if times == 1 {
-            // The node applies the value, and the drift is over.
-            hub.until("/api/v1/drift", |all| *all == json!([])).await;
-        }
+        report("car-1", revision, 5e-4).await;
+        // The node applies the value, and the drift is over.
+        hub.until("/api/v1/drift", |all| *all == json!([])).await;
     }
-    report(revision, 9e-4).await;
-    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
+    report("car-1", revision, 9e-4).await;
+    hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
+    // The hub looks again, and sets back the other node alone.
+    report("car-2", first, 9e-4).await;
+    let drift = hub.until("/api/v1/drift", |drift| drift[1]["set_back"] == 1).await;
+    assert_eq!(drift[0]["node"], "car-1", "{drift}");
     assert_eq!(drift[0]["set_back"], 3, "{drift}");
+    let revisions = hub.get("/api/v1/revisions?node=car-1").await;
+    assert_eq!(
+        revisions["revisions"][0]["revision"], revision,
+        "{revisions}"
+    );
     // A change by a user restarts the count.
-    let given = give(6e-4).await;
-    let revisions = hub.get("/api/v1/revisions").await;
-    assert_eq!(revisions["revisions"][0]["revision"], given, "{revisions}");
+    let given = give("car-1", 6e-4).await;
+    report("car-1", given, 6e-4).await;
+    report("car-1", given, 9e-4).await;
+    let is_set_back_once = |drift: &Value| drift[0]["node"] == "car-1" && drift[0]["set_back"] == 1;
+    hub.until("/api/v1/drift", is_set_back_once).await;
     hub.stop().await;
 }

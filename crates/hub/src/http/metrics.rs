@@ -1,6 +1,8 @@
 //! Serves metrics for Prometheus.
 
 use crate::hub::Hub;
+use crate::presence::NodeView;
+use crate::tuning::DesiredSettings;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::TargetStatus;
@@ -42,7 +44,8 @@ pub(super) async fn page(hub: &Hub) -> MetricsPage {
     };
     page.gauge(
         "albireo_hub_sessions",
-        "Zenoh sessions of this hub: nodes where it is their router, else its router; absent while its own is not open",
+        "Zenoh sessions with this hub: one per node if the hub is their router, else the one with its router; absent until \
+         the hub has opened its session",
         sessions,
     );
     page.gauge(
@@ -70,31 +73,38 @@ struct FleetCounts {
     targets: [u32; TargetStatus::ALL.len()],
 }
 
-fn count_fleet(hub: &Hub) -> FleetCounts {
-    let mut counts = FleetCounts::default();
-    let now_s = unix_milliseconds().div_euclid(1000);
-    hub.fleet.each(|node| {
-        counts.waiting += node.waiting;
+impl FleetCounts {
+    /// Adds a node at the time `now_s`.
+    fn add(&mut self, node: &NodeView, desired: &DesiredSettings, now_s: i64) {
+        // Any node may claim any number.
+        self.waiting = self.waiting.saturating_add(node.waiting);
         let certificates = node.status.iter().flat_map(|status| &status.certificates);
         if let Some(first_s) = certificates.map(|one| one.until_s).min() {
             let left_s = first_s.saturating_sub(now_s);
-            counts.within_7_days += u32::from(left_s < 7 * DAY_S);
-            counts.within_30_days += u32::from(left_s < 30 * DAY_S);
+            self.within_7_days += u32::from(left_s < 7 * DAY_S);
+            self.within_30_days += u32::from(left_s < 30 * DAY_S);
         }
         if !node.is_reachable() {
             let expected = node.labels().get("expected");
-            counts.missing += u32::from(expected.is_some_and(|when| when == "always"));
+            self.missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
-        if let Some(desired) = hub.desired.get(&node.node)
+        if let Some(desired) = desired.get(&node.node)
             && node.revision < desired.given.revision
         {
-            counts.behind += 1;
+            self.behind += 1;
         }
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
-            counts.targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
+            let status = target.status.unwrap_or(TargetStatus::Measuring);
+            self.targets[status as usize] += 1;
         }
-    });
+    }
+}
+
+fn count_fleet(hub: &Hub) -> FleetCounts {
+    let mut counts = FleetCounts::default();
+    let now_s = unix_milliseconds().div_euclid(1000);
+    hub.fleet.each(|node| counts.add(node, &hub.desired, now_s));
     counts
 }
 
@@ -175,16 +185,16 @@ fn ingest(page: &mut MetricsPage, hub: &Hub) {
         ],
     );
     let paired = counts.audit_paired;
-    let boxes = |side, result, boxes: u64| ([("side", side), ("result", result)], boxes as f64);
+    let row = |side, result, boxes: u64| ([("side", side), ("result", result)], boxes as f64);
     page.counters(
         "albireo_hub_audit_boxes_total",
         "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: the published) and by \
          result (paired with a box of the other side, or unpaired). Against the detector, not the truth",
         [
-            boxes("detected", "paired", paired),
-            boxes("detected", "unpaired", counts.audit_detected.saturating_sub(paired)),
-            boxes("shown", "paired", paired),
-            boxes("shown", "unpaired", counts.audit_shown.saturating_sub(paired)),
+            row("detected", "paired", paired),
+            row("detected", "unpaired", counts.audit_detected.saturating_sub(paired)),
+            row("shown", "paired", paired),
+            row("shown", "unpaired", counts.audit_shown.saturating_sub(paired)),
         ],
     );
     page.counters(
@@ -217,4 +227,23 @@ fn ingest(page: &mut MetricsPage, hub: &Hub) {
         "Compressed bytes of the batches that are not answered yet",
         hub.ingest.queued_bytes() as f64,
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_that_claim_to_have_any_number_of_reports_do_not_overflow_the_sum() {
+        let (desired, _notices) = DesiredSettings::new();
+        let mut counts = FleetCounts::default();
+        for waiting in [u64::MAX, 1] {
+            let node = NodeView {
+                waiting,
+                ..NodeView::default()
+            };
+            counts.add(&node, &desired, 0);
+        }
+        assert_eq!(counts.waiting, u64::MAX);
+    }
 }

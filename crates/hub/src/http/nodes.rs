@@ -116,10 +116,11 @@ pub(super) async fn list(
     };
     let search = selection.search.unwrap_or_default();
 
-    let mut waiting = 0;
+    let mut waiting: u64 = 0;
     let mut found = Vec::new();
     hub.fleet.each(|node| {
-        waiting += node.waiting;
+        // Any node may claim any number.
+        waiting = waiting.saturating_add(node.waiting);
         let has_state = wanted.is_empty() || wanted.contains(&node.state);
         let is_selected = match &select {
             Some(selector) => selector.selects(&node.node, node.labels()),

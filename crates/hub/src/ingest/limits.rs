@@ -23,7 +23,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EntryRate {
     /// Most entries of one kind in each span of time.
-    most: u32,
+    pub(super) most: u32,
     /// The length of a span, milliseconds.
     span_ms: i64,
 }
