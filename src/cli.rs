@@ -175,7 +175,7 @@ impl Command {
             Self::Compare(arguments) => block_on(compare::run(arguments))?,
             #[cfg(feature = "eval")]
             Self::Replay(arguments) => block_on(async {
-                let shutdown = albireo_service::signals::shutdown(None)?;
+                let shutdown = albireo_service::signals::shutdown()?;
                 replay::run(arguments, shutdown).await.map(drop)
             })?,
             #[cfg(feature = "eval")]

@@ -48,8 +48,11 @@ pub(super) fn run(arguments: &AclArguments) -> anyhow::Result<()> {
             // The file is replaced as a whole, because the router may start at any moment.
             write(file, &text, PUBLIC).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
-            let subjects = counted(subjects as u64, "certificate", "certificates");
-            println!("{}: access for {subjects}", file.display());
+            println!(
+                "{}: access for {}",
+                file.display(),
+                counted(subjects as u64, "certificate", "certificates")
+            );
         }
     }
     Ok(())

@@ -118,7 +118,7 @@ pub(super) struct CompareArguments {
 pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let (mut config, variants) = prepare(&arguments)?;
     logging::start(&config.log)?;
-    let shutdown = signals::shutdown(None)?;
+    let shutdown = signals::shutdown()?;
     let meter = choose_meter(&mut config.power).await?;
     eprintln!("Reading the clip …");
     let source = arguments

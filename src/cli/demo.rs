@@ -79,7 +79,7 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
             .to_owned(),
         ..LogConfig::default()
     })?;
-    let shutdown = signals::shutdown(None)?;
+    let shutdown = signals::shutdown()?;
     let clip = arguments.clip.open(arguments.rate, VideoEncoding::default())?;
     let mut moved = Vec::new();
     let listener = listen("page", arguments.port, &mut moved).await?;

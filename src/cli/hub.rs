@@ -62,7 +62,7 @@ pub(super) fn run(arguments: &HubArguments) -> anyhow::Result<()> {
         tracing::warn!("{finding}");
     }
     block_on(async {
-        let shutdown = signals::shutdown(None)?;
+        let shutdown = signals::shutdown()?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_hub::run(&config, listener, shutdown).await?)
     })
@@ -73,14 +73,15 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
         url: to.to_owned(),
         ..DatabaseConfig::default()
     };
+    // The number of rows is known once the database has been looked at.
     let bar = progress::bar(Some(0), "rows, {msg}");
-    let shown = bar.clone();
-    let rows = transfer::to_postgres(from, &to, move |progress| {
-        shown.set_length(progress.total);
-        shown.set_position(progress.rows);
-        shown.set_message(progress.table);
-    })
-    .await?;
+    let moved_bar = bar.clone();
+    let show = move |progress: transfer::MoveProgress| {
+        moved_bar.set_length(progress.total);
+        moved_bar.set_position(progress.rows);
+        moved_bar.set_message(progress.table);
+    };
+    let rows = transfer::to_postgres(from, &to, show).await?;
     bar.finish_and_clear();
     println!(
         "{} now has {} of {from}",

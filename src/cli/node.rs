@@ -37,7 +37,7 @@ pub(super) fn run(arguments: &NodeArguments) -> anyhow::Result<()> {
     }
     block_on(async {
         let limit = config.node.stop_timeout;
-        let shutdown = signals::shutdown(Some(limit))?;
+        let shutdown = signals::shutdown_within(limit)?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_node::run(&config, None, listener, shutdown).await?)
     })

@@ -82,7 +82,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
              set that environment variable"
         );
     }
-    let shutdown = signals::shutdown(None)?;
+    let shutdown = signals::shutdown()?;
     let key = arguments.target.frame_key()?;
     let options = SourceOptions(arguments.source_option);
     options.check().map_err(|error| anyhow!("--source-option {error}"))?;

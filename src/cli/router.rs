@@ -60,7 +60,7 @@ pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
         tracing::warn!("{finding}");
     }
     block_on(async {
-        let shutdown = signals::shutdown(None)?;
+        let shutdown = signals::shutdown()?;
         let listener = listen("--http", http.listen).await?;
         Ok(albireo_router::run(&options, listener, shutdown).await?)
     })

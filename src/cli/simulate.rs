@@ -34,7 +34,7 @@ pub(super) struct SimulateArguments {
 }
 
 pub(super) async fn run(arguments: SimulateArguments) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown(None)?;
+    let shutdown = signals::shutdown()?;
     let progress = |line| eprintln!("{line}");
     let summary = albireo_simulate::run(arguments.options, shutdown, progress).await?;
     if arguments.json {

@@ -13,12 +13,24 @@ use tokio_util::sync::CancellationToken;
 const ONE_REQUEST: Duration = Duration::from_secs(1);
 
 /// Returns a token that the first Ctrl-C, SIGTERM or SIGHUP (a closed terminal) cancels. A second signal, at least a
-/// second later, ends the program at once, with exit code 130; it also ends, with exit code 1, if it still runs `limit`
-/// after the first signal. Both leave out what the C library does at an exit: threads may still use other libraries.
+/// second later, ends the program at once, with exit code 130. That leaves out what the C library does at an exit: threads
+/// may still use other libraries.
 ///
 /// # Errors
 /// An I/O error if the signal handlers cannot be installed.
-pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
+pub fn shutdown() -> io::Result<CancellationToken> {
+    handle_signals(None)
+}
+
+/// Like [`shutdown`], but the program also ends, with exit code 1, if it still runs `limit` after the first signal.
+///
+/// # Errors
+/// An I/O error if the signal handlers cannot be installed.
+pub fn shutdown_within(limit: Duration) -> io::Result<CancellationToken> {
+    handle_signals(Some(limit))
+}
+
+fn handle_signals(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
     let failed = |error: io::Error| {

@@ -68,9 +68,9 @@ impl Show {
         if let Some(spec) = camera.and_then(|camera| camera.threshold_spec()) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
-            let value = serde_json::json!({ spec.name: value });
+            let body = serde_json::json!({ spec.name: value });
             lines.push(format!(
-                "  tune it  curl -X PUT http://{node}/api/v1/threshold -d '{value}'"
+                "  tune it  curl -X PUT http://{node}/api/v1/threshold -d '{body}'"
             ));
         }
         if self.board.can_pause() {

@@ -121,7 +121,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let mut truth = ground_truth(arguments, &mut config.detector).await?;
     truth.check(&names)?;
     logging::start(&config.log)?;
-    let shutdown = signals::shutdown(None)?;
+    let shutdown = signals::shutdown()?;
     let meter = choose_meter(&mut config.power).await?;
     let clips = measured_clips(arguments, &mut truth, names.len() == 1)?;
     let setup = setup::describe(arguments, &config)?;
@@ -325,13 +325,19 @@ fn measured_clips(
 fn content_of(clip: &Clip) -> String {
     let mut digest = crc32fast::Hasher::new();
     for frame in 0..clip.frames {
-        let objects = clip.truth.as_ref().and_then(|truth| truth.get(frame));
-        let objects = objects.into_iter().flatten();
-        let mut labels: Vec<String> = objects
-            .map(|object| format!("{:?} {:?}", object.corners, object.class))
-            .collect();
-        let marks = clip.ignored.get(frame).into_iter().flatten();
-        labels.extend(marks.map(|mark| format!("{mark:?}")));
+        let mut labels = Vec::new();
+        if let Some(truth) = &clip.truth
+            && let Some(objects) = truth.get(frame)
+        {
+            for object in objects {
+                labels.push(format!("{:?} {:?}", object.corners, object.class));
+            }
+        }
+        if let Some(marks) = clip.ignored.get(frame) {
+            for mark in marks {
+                labels.push(format!("{mark:?}"));
+            }
+        }
         labels.sort_unstable();
         digest.update(format!("{frame} {}\n", labels.join(", ")).as_bytes());
     }

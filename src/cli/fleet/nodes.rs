@@ -285,18 +285,17 @@ pub(super) async fn watch(context: &Context, most: Option<u64>) -> anyhow::Resul
 /// Formats the number of nodes in each state, then the nodes with problems, or else the first ones.
 fn overview(page: &NodeList) -> String {
     let counts = page.counts.iter().map(|(state, nodes)| format!("{nodes} {state}"));
-    let line = format!(
+    let summary = format!(
         "{}: {}; waiting: {}",
         units::nodes(page.counts.values().sum()),
         joined(counts),
         counted(page.waiting, "report", "reports")
     );
-    let line = cut(&line, width());
     let unwell = page.nodes.partition_point(|node| node.state != PresenceState::Online);
     let shown = if unwell > 0 {
         &page.nodes[..unwell]
     } else {
         &page.nodes
     };
-    format!("{line}\n\n{}", list_of(shown))
+    format!("{}\n\n{}", cut(&summary, width()), list_of(shown))
 }

@@ -69,8 +69,10 @@ pub(in crate::cli) fn load(
             );
         }
         if let Err(fault) = decode_small_grey(&picture, &limits, TRIED_WIDTH, &mut tried) {
-            let name = source.picture_name();
-            let name = name.unwrap_or_else(|| format!("picture {}", pictures.len() + 1));
+            let name = match source.picture_name() {
+                Some(name) => name,
+                None => format!("picture {}", pictures.len() + 1),
+            };
             unusable.push(format!("{name}: {fault}"));
         }
         pictures.push(picture);

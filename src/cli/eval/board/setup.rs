@@ -50,11 +50,14 @@ pub(super) fn describe(arguments: &BoardArguments, config: &NodeConfig) -> anyho
         restart: _,
     } = arguments;
     let mut settings = settings_of(config)?;
-    let format = truth_format.and_then(|format| format.to_possible_value());
-    let format = format.map_or_else(|| "demo".to_owned(), |format| format.get_name().to_owned());
+    let given_format = truth_format.and_then(|format| format.to_possible_value());
+    let format_name = match given_format {
+        Some(format) => format.get_name().to_owned(),
+        None => "demo".to_owned(),
+    };
     let judged_by = match rules {
-        Rules::Benchmark => format,
-        Rules::Paper => format!("{format}, --rules paper"),
+        Rules::Benchmark => format_name,
+        Rules::Paper => format!("{format_name}, --rules paper"),
     };
     let frames = if *paced { "paced" } else { "unpaced" };
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
