@@ -283,8 +283,14 @@ pub(crate) fn stacked(
     let count = rows.len();
     let size = (SIZE.0, 70 + 26 * count.clamp(1, 60) as u32);
     let widest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-    let longest = rows.iter().map(|(_, values)| values.iter().sum::<f64>()).fold(0.0, f64::max);
-    let longest = if longest > 0.0 { longest } else { 1.0 };
+    let mut longest = 0.0_f64;
+    for (_, values) in rows {
+        longest = longest.max(values.iter().sum());
+    }
+    if longest <= 0.0 {
+        // Bars without a length, too, need an axis that has one.
+        longest = 1.0;
+    }
     let decimals = decimals(&(0.0..longest), BAR_LABELS);
     let mut svg = String::new();
     {

@@ -286,7 +286,7 @@ fn is_hundredths(value: f64) -> bool {
 /// `fixed-skip` out).
 fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> String {
     let name = policy.name();
-    let setting = match (policy.threshold_spec(), policy.threshold()) {
+    let mut setting = match (policy.threshold_spec(), policy.threshold()) {
         (Some(_), Some(value)) if takes_u(policy) => format!("-u{value:e}"),
         (Some(_), Some(value)) if policy.name() == Ctd::NAME && is_hundredths(value) => {
             format!("-{value:.2}")
@@ -294,7 +294,7 @@ fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> Stri
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),
     };
-    let setting = setting + &pause_label(empty_road);
+    setting.push_str(&pause_label(empty_road));
     // The screen is part of the label of policies that use it.
     let is_screened = !matches!(
         policy.name(),

@@ -49,7 +49,7 @@ pub fn render(advice: &Advice, width: usize) -> String {
         Column::new(["  policy", ""], policies.collect()),
         Column::new(
             ["threshold", ""],
-            cells(&|found| format!("{} = {}", found.threshold, digits(found.value))),
+            cells(&|found| format!("{} = {}", found.threshold, short(found.value))),
         ),
         Column::new(
             ["screen", ""],
@@ -92,17 +92,15 @@ fn sentences(advice: &Advice) -> Vec<String> {
         ),
         Some(best) => {
             sentences.push(proposed(best));
-            sentences.extend(best.held_out.map(|held_out| checked(&held_out, advice.target)));
+            if let Some(held_out) = &best.held_out {
+                sentences.push(checked(held_out, advice.target));
+            }
         }
     }
     if advice.clips < FEW_CLIPS {
-        let clips = if advice.clips == 1 {
-            "one clip"
-        } else {
-            "two clips"
-        };
         sentences.push(format!(
-            "Only {clips} of {} frames: record other roads, hours and weather, too, before you rely on it.",
+            "Only {} of {} frames: record other roads, hours and weather, too, before you rely on it.",
+            counted(advice.clips, "clip"),
             advice.frames
         ));
     }
@@ -128,7 +126,7 @@ fn proposed(best: &Proposal) -> String {
         "Proposed: {} with {} = {}{screen}. The detector is skipped on {} of the frames, and {} of its boxes on these frames are shown.",
         best.policy,
         best.threshold,
-        digits(best.value),
+        short(best.value),
         percent(best.skip_rate),
         percent(best.recall),
     )
@@ -137,6 +135,7 @@ fn proposed(best: &Proposal) -> String {
 fn checked(held_out: &HeldOut, target: Target) -> String {
     let is_reached = match target {
         Target::Recall(least) => held_out.recall.is_none_or(|recall| recall.value >= least),
+        // A skip rate that falls short costs energy, not objects, and the sentence shows it.
         Target::SkipRate(_) => true,
     };
     let warning = if is_reached {
@@ -152,14 +151,6 @@ fn checked(held_out: &HeldOut, target: Target) -> String {
     )
 }
 
-fn digits(value: f64) -> String {
-    if value > 0.0 && value < 0.01 {
-        format!("{value:e}")
-    } else {
-        short((value * 1e4).round() / 1e4)
-    }
-}
-
 /// `24 % [21, 27]`.
 fn percent(estimate: Option<Estimate>) -> String {
     or_dash(estimate.map(|estimate| {
@@ -173,10 +164,10 @@ fn share(estimate: Option<Estimate>) -> String {
     let bare = |value: f64| {
         let text = format!("{value:.3}");
         // `.953` for a share, and `1` for all.
-        let short = text.strip_suffix(".000").unwrap_or(&text);
-        match short.strip_prefix("0.") {
-            Some(digits) => format!(".{digits}"),
-            None => short.to_owned(),
+        let shortened = text.strip_suffix(".000").unwrap_or(&text);
+        match shortened.strip_prefix("0.") {
+            Some(decimals) => format!(".{decimals}"),
+            None => shortened.to_owned(),
         }
     };
     or_dash(estimate.map(|Estimate { value, low, high }| {

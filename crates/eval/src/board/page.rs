@@ -10,13 +10,13 @@ use maud::{Markup, html};
 
 /// Renders the page.
 pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], plots: &[Plot]) -> String {
-    let titles: Vec<&str> = summaries.iter().map(|summary| summary.title.as_str()).collect();
-    let titles = titles.join("; ");
+    let setup_titles: Vec<&str> = summaries.iter().map(|summary| summary.title.as_str()).collect();
+    let title = setup_titles.join("; ");
     let content = html! {
         main {
             header {
                 p.kicker { "Albireo, measured on the machine" }
-                h1 { (titles) }
+                h1 { (title) }
             }
             @for found in tables(setups, summaries) { (table(&found)) }
             (figures(plots))
@@ -29,7 +29,7 @@ pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], plots: &[
             }
         }
     };
-    document(&format!("Albireo, measured: {titles}"), &content)
+    document(&format!("Albireo, measured: {title}"), &content)
 }
 
 fn table(found: &JoinedTable) -> Markup {

@@ -5,6 +5,7 @@ use super::summary::{Figure, Summary};
 use super::verdict::verdicts;
 use crate::error::EvalError;
 use crate::files;
+use albireo_wire::Percentiles;
 use std::path::Path;
 
 /// Writes all files into `folder`, which is created if needed: `compare.json` with every run's clip report and the
@@ -23,8 +24,7 @@ pub fn write(
         "v": 1, "comparison": comparison, "summary": summary, "verdicts": verdicts
     });
     files::write_json(&folder.join("compare.json"), &json)?;
-    let runs = comparison.runs.iter();
-    let rows: Vec<_> = runs.map(|run| row(comparison, run)).collect();
+    let rows: Vec<_> = comparison.runs.iter().map(|run| row(comparison, run)).collect();
     files::write_csv(&folder.join("runs.csv"), &rows)?;
     files::write(&folder.join("compare.txt"), text)
 }
@@ -35,44 +35,37 @@ fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
     let energy = &report.energy;
     let total = energy.domains.iter().find(|domain| domain.domain == "total");
     let board = report.board.clone().unwrap_or_default();
-    let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-    let figure = |figure: Figure| number(figure.of(run));
-    let quality = serde_json::to_value(energy.quality).unwrap_or_default();
+    let figure = |figure: Figure| or_empty(figure.of(run));
     let threshold = report.threshold.as_ref().map(|threshold| threshold.value);
-    let throttled = board.throttled.map(|throttled| throttled.to_string());
+    let frame_ms = &report.total_latency_ms;
+    let detector_ms = &report.detector_latency_ms;
     vec![
         ("round", (run.round + 1).to_string()),
         (
             "policy",
             comparison.policies.get(run.variant).cloned().unwrap_or_default(),
         ),
-        ("u", number(threshold)),
+        ("u", or_empty(threshold)),
         ("frames", report.frames.to_string()),
         ("dropped", figure(Figure::Dropped)),
         ("duration_s", report.duration_s.to_string()),
         ("skip_rate", figure(Figure::SkipRate)),
         ("detector_calls", figure(Figure::DetectorCalls)),
         ("energy_j", figure(Figure::Joules)),
-        (
-            "energy_quality",
-            quality.as_str().unwrap_or_default().to_owned(),
-        ),
+        ("energy_quality", energy.quality.as_str().to_owned()),
         ("energy_source", energy.source.clone()),
         ("energy_coverage", energy.coverage.to_string()),
-        ("mean_watts", number(total.map(|total| total.mean_watts))),
+        ("mean_watts", or_empty(total.map(|total| total.mean_watts))),
         (
             "peak_watts",
-            number(total.and_then(|total| total.peak_watts)),
+            or_empty(total.and_then(|total| total.peak_watts)),
         ),
         ("edp_j_ms_per_frame", figure(Figure::Edp)),
         ("cpu_s", figure(Figure::CpuSeconds)),
         ("meter_share_of_core", run.meter_share_of_core.to_string()),
         ("frame_ms_mean", figure(Figure::FrameMilliseconds)),
-        ("frame_ms_p95", report.total_latency_ms.p95.to_string()),
-        (
-            "detector_ms_mean",
-            report.detector_latency_ms.mean.to_string(),
-        ),
+        ("frame_ms_p95", if_any(frame_ms, frame_ms.p95)),
+        ("detector_ms_mean", if_any(detector_ms, detector_ms.mean)),
         ("ap50", figure(Figure::Ap50)),
         ("precision", figure(Figure::Precision)),
         ("recall", figure(Figure::Recall)),
@@ -80,7 +73,47 @@ fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
         ("truth_precision", figure(Figure::TruthPrecision)),
         ("truth_recall", figure(Figure::TruthRecall)),
         ("power_mode", board.power_mode.unwrap_or_default()),
-        ("hottest_celsius", number(board.hottest_celsius)),
-        ("throttled", throttled.unwrap_or_default()),
+        ("hottest_celsius", or_empty(board.hottest_celsius)),
+        ("throttled", or_empty(board.throttled)),
     ]
+}
+
+fn or_empty(value: Option<impl ToString>) -> String {
+    match value {
+        Some(value) => value.to_string(),
+        None => String::new(),
+    }
+}
+
+/// The cell of a figure of `durations`. If there are none, every figure is a zero that means nothing.
+fn if_any(durations: &Percentiles, figure: f64) -> String {
+    if durations.count == 0 {
+        return String::new();
+    }
+    figure.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::summary::tests::{comparison, run};
+    use super::*;
+
+    #[test]
+    fn a_duration_without_a_frame_or_a_detector_call_is_an_empty_cell() {
+        let mut played = run(0, 0, 40, None);
+        played.report.total_latency_ms = Percentiles {
+            count: 100,
+            p95: 31.5,
+            ..Percentiles::default()
+        };
+        let cells = |run: &Run| {
+            let row = row(&comparison(&["albireo"], Vec::new()), run);
+            let cell = |name: &str| row.iter().find(|(known, _)| *known == name).unwrap().1.clone();
+            [cell("frame_ms_p95"), cell("detector_ms_mean")]
+        };
+        assert_eq!(cells(&played), ["31.5", "20"]);
+        played.report.total_latency_ms = Percentiles::default();
+        played.report.detector_latency_ms = Percentiles::default();
+        assert_eq!(cells(&played), ["", ""]);
+    }
 }

@@ -277,8 +277,8 @@ fn mean(found: Mean, scale: f64) -> String {
     match found.half.map(|half| half * scale) {
         Some(half) if mean.abs() >= 1e6 => format!("{mean:.2e} ± {half:.0e}"),
         Some(half) if half > 0.0 => {
-            let decimals = decimals(half);
-            format!("{mean:.decimals$} ± {half:.decimals$}")
+            let digits = decimals(half);
+            format!("{mean:.digits$} ± {half:.digits$}")
         }
         Some(_) => format!("{} ± 0", exact(mean)),
         None => exact(mean),
@@ -290,8 +290,8 @@ fn change(change: Change) -> String {
         // Even equal differences have an interval of rounding errors.
         Some(half) if half < 1e-9 => format!("{:+.1} ± 0 %", change.percent),
         Some(half) => {
-            let decimals = decimals(half.max(0.1)).min(1);
-            format!("{:+.decimals$} ± {half:.decimals$} %", change.percent)
+            let digits = decimals(half.max(0.1)).min(1);
+            format!("{:+.digits$} ± {half:.digits$} %", change.percent)
         }
         None => format!("{:+.1} %", change.percent),
     }
@@ -306,8 +306,8 @@ fn exact(value: f64) -> String {
     if (value - value.round()).abs() < 1e-9 {
         format!("{value:.0}")
     } else {
-        let decimals = decimals(value) + 1;
-        format!("{value:.decimals$}")
+        let digits = decimals(value) + 1;
+        format!("{value:.digits$}")
     }
 }
 

@@ -35,6 +35,9 @@ pub enum TruthFormat {
     Recorded,
 }
 
+/// The most classes that an error names of the ground truth, and of the model.
+const MOST_NAMED: usize = 8;
+
 /// A size in which every box of labels fits whose pictures are not known yet.
 const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
 
@@ -115,14 +118,14 @@ impl GroundTruth {
             labelled.extend(objects.chain(marks).map(|class| usize::from(class.0)));
         }
         if labelled.is_empty() && self.unmapped().next().is_some() {
-            let others = self.unmapped().map(|(name, _)| name.as_str());
-            let others: Vec<&str> = others.take(8).collect();
-            let own: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
+            let of_truth: Vec<&str> =
+                self.unmapped().map(|(name, _)| name.as_str()).take(MOST_NAMED).collect();
+            let of_model: Vec<&str> = names.iter().map(String::as_str).take(MOST_NAMED).collect();
             return Err(EvalError::new(format!(
                 "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or the \
                  right names (--class-names)?",
-                others.join(", "),
-                own.join(", ")
+                of_truth.join(", "),
+                of_model.join(", ")
             )));
         }
         // The numbers of classes stay: one that only the model has gets an empty name.

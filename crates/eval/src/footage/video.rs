@@ -292,17 +292,18 @@ impl FrameSource for Video {
         let Some(output) = &mut self.output else {
             return Ok(None);
         };
-        let picture = match self.encoding {
+        let read = match self.encoding {
             VideoEncoding::Jpeg => read_part(&mut output.pictures, MAX_PICTURE_BYTES),
             VideoEncoding::Png => read_png(&mut output.pictures, MAX_PICTURE_BYTES),
         };
-        match picture {
-            Ok(Some(picture)) => {
-                let picture = picture_of_file(Bytes::from(picture), &FrameLimits::default());
-                picture.map(Some).map_err(|fault| {
-                    EvalError::new(format!("{}: a frame cannot be sent: {fault}", self.file))
-                })
-            }
+        match read {
+            Ok(Some(file)) => match picture_of_file(Bytes::from(file), &FrameLimits::default()) {
+                Ok(picture) => Ok(Some(picture)),
+                Err(fault) => Err(EvalError::new(format!(
+                    "{}: a frame cannot be sent: {fault}",
+                    self.file
+                ))),
+            },
             Ok(None) => {
                 self.wait()?;
                 Ok(None)

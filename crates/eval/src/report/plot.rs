@@ -99,8 +99,8 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
         }
         let whiskers = judged.iter().filter_map(|policy| {
             let ends = interval(policy.summary)?;
-            let ends = ends.map(|end| (policy.percent_skipped, end.clamp(low, high)));
-            Some(PathElement::new(ends.to_vec(), SOFT_INK.mix(0.5)))
+            let points = ends.map(|end| (policy.percent_skipped, end.clamp(low, high)));
+            Some(PathElement::new(points.to_vec(), SOFT_INK.mix(0.5)))
         });
         plane.draw_series(whiskers)?;
         for (index, family) in families.iter().enumerate() {

@@ -181,7 +181,7 @@ fn a_value_must_also_have_the_precision_and_few_clips_are_called_few() {
     for part in [
         "--precision",
         "precision of at least 0.9999",
-        "Only one clip of 600",
+        "Only 1 clip of 600",
     ] {
         assert!(text.contains(part), "{text}");
     }
