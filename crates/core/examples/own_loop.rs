@@ -51,12 +51,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         policy.finish(&mut outcome);
         if index % 20 == 0 {
-            let corners = outcome.boxes.first().map(|one| one.bounding_box.pixel_corners(PICTURE));
-            let x1 = corners.map_or(f64::NAN, |corners| corners.x1);
-            println!(
-                "frame {index}: state {}, the car begins at {x1:.0}",
-                outcome.state.as_str()
-            );
+            let state = outcome.state.as_str();
+            print!("frame {index}: state {state}");
+            if let Some(car) = outcome.boxes.first() {
+                let left = car.bounding_box.pixel_corners(PICTURE).x1;
+                print!(", the car begins at {left:.0}");
+            }
+            println!();
         }
     }
     println!("{calls} calls of the detector for 100 frames");

@@ -68,8 +68,8 @@ impl AuditSums {
     /// Compares one frame answered without the detector: the boxes `shown` with those `detected`. Makes as many pairs
     /// as possible and ignores classes. Boxes outside the picture do not count.
     pub fn add(&mut self, shown: &[OutputBox], detected: &[Detection]) {
-        let shown_boxes = shown.iter().map(|output| output.bounding_box);
-        let shown_boxes = visible(shown_boxes.filter(|shown| shown.is_finite()));
+        let reported = shown.iter().map(|output| output.bounding_box);
+        let shown_boxes = visible(reported.filter(|reported| reported.is_finite()));
         let usable = detected.iter().filter(|found| is_usable(found));
         let detected_boxes = visible(usable.map(|found| found.bounding_box));
         let pairs = pairs(&shown_boxes, &detected_boxes);

@@ -115,7 +115,11 @@ impl Albireo {
             rescued |= fate == Missed::Rescued;
             fate
         });
-        self.progress.detected(rescued)
+        if rescued {
+            self.progress.detected_with_rescue()
+        } else {
+            self.progress.detected()
+        }
     }
 }
 

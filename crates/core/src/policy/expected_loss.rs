@@ -209,7 +209,7 @@ impl ExpectedLoss {
         self.births.count(born);
         self.pause.end();
         self.started = true;
-        self.progress.detected(false)
+        self.progress.detected()
     }
 }
 

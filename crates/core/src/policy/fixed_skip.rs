@@ -150,7 +150,7 @@ impl Policy for FixedSkip {
                 LastBoxes::Objects(tracker) => tracker.observe(detections, |_| Missed::Removed),
             }
             self.last_answered = Some(self.index);
-            self.progress.detected(false);
+            self.progress.detected();
         }
         Need::Nothing
     }

@@ -52,13 +52,21 @@ impl Progress {
     }
 
     /// Ends with the detector's answer.
-    pub(crate) fn detected(&mut self, rescued: bool) -> Need {
+    pub(crate) fn detected(&mut self) -> Need {
+        self.end(FrameState::I)
+    }
+
+    /// Ends with the detector's answer, which missed an object that is kept by its prediction.
+    pub(crate) fn detected_with_rescue(&mut self) -> Need {
+        self.end(FrameState::AI)
+    }
+
+    /// Ends in the state `unscreened`, or in `E+I` if the screen reported "not empty".
+    fn end(&mut self, unscreened: FrameState) -> Need {
         self.state = if self.screened {
             FrameState::EI
-        } else if rescued {
-            FrameState::AI
         } else {
-            FrameState::I
+            unscreened
         };
         self.ask(Need::Nothing)
     }

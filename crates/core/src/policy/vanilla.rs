@@ -29,7 +29,7 @@ impl Policy for Vanilla {
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         if let Evidence::Detections(detections) = evidence {
             self.boxes.take(detections);
-            self.progress.detected(false);
+            self.progress.detected();
         }
         Need::Nothing
     }

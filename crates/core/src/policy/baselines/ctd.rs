@@ -83,7 +83,7 @@ impl Ctd {
     }
 
     /// Returns the reason for a detector call, if there is one.
-    fn call(&self) -> Option<CallCause> {
+    fn cause(&self) -> Option<CallCause> {
         let objects = &self.tracker.objects;
         let strayed = |state: &ObjectState| {
             let gauge = state.filter.gauge(objects.model());
@@ -93,9 +93,10 @@ impl Ctd {
             Some(CallCause::NoObjects)
         } else if objects.states().iter().any(strayed) {
             Some(CallCause::Uncertain)
+        } else if self.since_detector > self.settings.longest_skip {
+            Some(CallCause::PeriodicCap)
         } else {
-            let capped = self.since_detector > self.settings.longest_skip;
-            capped.then_some(CallCause::PeriodicCap)
+            None
         }
     }
 }
@@ -107,6 +108,7 @@ impl Ctd {
 /// from the second step on it approaches the root from above.
 fn distance_with_confidence(confidence: f64) -> f64 {
     let logarithm = confidence.ln();
+    // Near the root for a confidence near 1: for small y the logarithm of the probability is about −y²/2.
     let mut y = (-2.0 * logarithm).sqrt();
     for _ in 0..100 {
         let step = (y.ln_1p() - y - logarithm) * (1.0 + y) / y;
@@ -140,7 +142,7 @@ impl Policy for Ctd {
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
         self.progress = self.tracker.begin(frame, |_, _| {});
-        let cause = self.call();
+        let cause = self.cause();
         self.progress.call(cause)
     }
 
@@ -149,6 +151,7 @@ impl Policy for Ctd {
         {
             let lost_frames = self.settings.lost_frames;
             self.tracker.observe(detections, |state| {
+                // A miss counts like a frame, and before the object is judged: see `lost_frames`.
                 state.since_update = state.since_update.saturating_add(1);
                 if state.confirmed && state.since_update <= lost_frames {
                     Missed::Rescued
@@ -157,7 +160,7 @@ impl Policy for Ctd {
                 }
             });
             self.since_detector = 0;
-            self.progress.detected(false);
+            self.progress.detected();
         }
         Need::Nothing
     }

@@ -34,7 +34,7 @@ impl Policy for ErdOnly {
             (Need::Screen, evidence) => self.progress.take_verdict(evidence, Need::Detections),
             (Need::Detections, Evidence::Detections(detections)) => {
                 self.boxes.take(detections);
-                self.progress.detected(false)
+                self.progress.detected()
             }
             // Unchanged, so that `finish` detects the missing detections.
             _ => Need::Nothing,

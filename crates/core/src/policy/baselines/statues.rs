@@ -161,7 +161,7 @@ impl Policy for Statues {
             (Need::Detections, Evidence::Detections(detections)) => {
                 self.boxes.take(detections);
                 self.detector_owed = false;
-                self.progress.detected(false)
+                self.progress.detected()
             }
             _ => Need::Nothing,
         }

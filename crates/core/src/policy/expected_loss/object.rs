@@ -63,7 +63,8 @@ pub(super) struct Object {
 }
 
 impl Object {
-    /// Creates an object from a detection, with its expected velocity in units of U.
+    /// Creates an object from a detection. `velocity` is the expected one of the centre along x and y, and of both
+    /// log-sides, in the units U of the [filter](super::motion).
     pub(crate) fn new(
         id: ObjectId,
         detection: &Detection,
@@ -112,8 +113,8 @@ impl Object {
         {
             self.filter.shift(&offset);
         }
-        let innovations = self.filter.update(&measured);
-        let limited = innovations.map(|squared| squared.min(LARGEST_INNOVATION));
+        let squares = self.filter.update(&measured);
+        let limited = squares.map(|square| square.min(LARGEST_INNOVATION));
         let n = limited.iter().sum::<f64>() / 4.0;
         self.alpha = scale(self.alpha, n, ALPHA_RATE);
         self.class = detection.class;
@@ -161,14 +162,16 @@ impl Object {
     /// border may be off by the distance over which it was held: `σ² += (held_x/w)² + (held_y/h)²`.
     pub(crate) fn judge(&mut self) {
         let [width, height] = self.filter.sides();
-        let border_shift =
-            (self.border_shift[0] / width).powi(2) + (self.border_shift[1] / height).powi(2);
-        let off = fading(0.125 / (self.alpha * self.filter.relative_variance() + border_shift));
+        let [held_x, held_y] = self.border_shift;
+        let held_variance = (held_x / width).powi(2) + (held_y / height).powi(2);
+        let variance = self.alpha * self.filter.relative_variance() + held_variance;
+        // 0.25 / (2σ²).
+        let probability = fading(0.125 / variance);
         // Without a loss of health, π itself: 1 − (1 − π) may differ from it in the last bit.
         self.miss_probability = if self.health < 1.0 {
-            1.0 - (1.0 - off) * self.health
+            1.0 - (1.0 - probability) * self.health
         } else {
-            off
+            probability
         };
     }
 
@@ -180,8 +183,8 @@ impl Object {
     /// Returns the confidence to report.
     pub(crate) fn confidence(&self) -> f64 {
         let blend = LAST_SCORE * self.last_score + (1.0 - LAST_SCORE) * self.mean_score;
-        let age = f64::from(self.hits.saturating_sub(1));
-        let base = blend * (1.0 - NEWCOMER * fading(NEWCOMER_FADING * age));
+        let later_hits = f64::from(self.hits.saturating_sub(1));
+        let base = blend * (1.0 - NEWCOMER * fading(NEWCOMER_FADING * later_hits));
         if self.detected_box.is_some() {
             return base;
         }
@@ -204,12 +207,12 @@ impl Object {
     /// Returns the share of the predicted box inside the picture.
     pub(crate) fn visible_share(&self, aspect: f64) -> f64 {
         let [width, height] = self.filter.sides();
-        let [x, y] = [X, Y].map(|axis| self.filter.axes[axis].x);
+        let position = self.filter.position();
         let inside = |center: f64, side: f64, end: f64| {
             let visible = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
             visible.max(0.0) / side
         };
-        inside(x, width, aspect) * inside(y, height, 1.0)
+        inside(position[X], width, aspect) * inside(position[Y], height, 1.0)
     }
 
     /// Returns the box to report, not clipped: if detected, the mean of the detector's box and the filter's; else the
