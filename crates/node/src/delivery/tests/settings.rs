@@ -20,6 +20,10 @@ use tempfile::TempDir;
 const SETTLED_WITHIN: i64 = 4 * HOUR;
 const TICK: i64 = 5 * SECOND;
 
+/// Two more than the fewest that a trial takes.
+const FEWEST_NODES_WITH_TRIALS: u64 = 18;
+const FEWEST_NODES: u64 = 2;
+
 const FAULTS: [&str; 9] = [
     "node loses power",
     "node's state is restored",
@@ -36,11 +40,22 @@ const FAULTS: [&str; 9] = [
 enum Event {
     /// A node checks what it has to send.
     Poll(usize),
-    Status(usize, Payload<Vec<u8>>),
+    Status {
+        node: usize,
+        payload: Payload<Vec<u8>>,
+    },
     Notice(usize),
-    Pull(usize, u64),
-    /// The answer, or none in time.
-    Pulled(usize, u64, Option<Payload<Vec<u8>>>),
+    /// A node asks for its desired setting; the number of the question tells its answer from an older one.
+    Pull {
+        node: usize,
+        question: u64,
+    },
+    Pulled {
+        node: usize,
+        question: u64,
+        /// `None` if no answer came in time.
+        answer: Option<Payload<Vec<u8>>>,
+    },
     NodeOn(usize),
     HubOn,
     HubDiskFree,
@@ -64,12 +79,14 @@ pub(super) struct Settings {
     end_ms: i64,
     nodes: Vec<Node>,
     hub: Hub,
-    values: u64,
+    /// The number of values that were given.
+    values_given: u64,
     /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
     /// The highest revision that was given, whatever the hub forgot since.
     highest: u64,
-    restored_ms: i64,
+    /// When the hub was last put back from a backup.
+    restored_ms: Option<i64>,
     _folder: TempDir,
 }
 
@@ -77,21 +94,25 @@ impl Settings {
     fn new(seed: u64, output: Output) -> Self {
         let folder = folder();
         let mut time = Timeline::new(seed, output);
-        // A trial takes at least 16 nodes, and a run with so many takes long.
+        // A trial takes many nodes, and a run with so many takes long.
         let has_trials = time.chance(100);
         let longest = if has_trials { HOUR / 2 } else { HOUR };
         let end_ms = time.between(HOUR / 4, longest);
-        let fewest_nodes = if has_trials { 18 } else { 2 };
-        let many = fewest_nodes + time.below(3) as usize;
+        let fewest_nodes = if has_trials {
+            FEWEST_NODES_WITH_TRIALS
+        } else {
+            FEWEST_NODES
+        };
+        let many = fewest_nodes + time.below(3);
         let nodes = (0..many).map(|at| Node::new(format!("node-{at}"), folder.path()));
         let mut world = Self {
             end_ms,
             nodes: nodes.collect(),
             hub: Hub::new(folder.path()),
-            values: 0,
+            values_given: 0,
             taken: BTreeMap::new(),
             highest: 0,
-            restored_ms: -1,
+            restored_ms: None,
             _folder: folder,
             time,
         };
@@ -128,6 +149,7 @@ impl Settings {
             if world.time.is_calm && is_tick {
                 let wrong = world.wrong();
                 if wrong.is_empty() {
+                    // Asked of the oracle once per seed; the assertion below says what is wrong with one that never gets here.
                     holds("no change and no return is forgotten", true, String::new);
                     return world.time.trace();
                 }
@@ -140,27 +162,36 @@ impl Settings {
     fn handle(&mut self, event: Event) {
         match event {
             Event::Poll(at) => self.poll(at),
-            Event::Status(at, payload) => {
+            Event::Status { node, payload } => {
                 let now = self.time.now();
-                if self.hub.hear(&self.nodes[at].name, &payload.0, now) {
-                    self.time.send(&Event::Notice(at));
+                let needs_full_status = self.hub.hear(&self.nodes[node].name, &payload.0, now);
+                if needs_full_status {
+                    self.time.send(&Event::Notice(node));
                 }
             }
             Event::Notice(at) => self.nodes[at].notice(),
-            Event::Pull(at, question) => {
-                if let Some(answer) = self.hub.answer(&self.nodes[at].name) {
+            Event::Pull { node, question } => {
+                if let Some(answer) = self.hub.answer(&self.nodes[node].name) {
                     self.highest = self.highest.max(self.hub.highest_revision());
-                    let answer = Some(Payload(Rc::new(answer)));
-                    self.time.send(&Event::Pulled(at, question, answer));
+                    self.time.send(&Event::Pulled {
+                        node,
+                        question,
+                        answer: Some(Payload(Rc::new(answer))),
+                    });
                 }
             }
-            Event::Pulled(at, question, answer) => {
-                let answer = answer.as_ref().map(|answer| answer.0.as_slice());
-                self.pulled(at, question, answer);
+            Event::Pulled {
+                node,
+                question,
+                answer,
+            } => {
+                let bytes = answer.as_ref().map(|answer| answer.0.as_slice());
+                self.pulled(node, question, bytes);
             }
             Event::NodeOn(at) => self.node_on(at),
             Event::HubOn => {
-                if !self.hub.switch_on(self.time.now()) {
+                let is_on = self.hub.switch_on(self.time.now());
+                if !is_on {
                     self.time.after(5 * SECOND, Event::HubOn);
                 }
             }
@@ -203,6 +234,8 @@ impl Settings {
             let now = self.time.now();
             let random = self.time.random();
             self.nodes[at].switch_on(now, random);
+            // A poll that was planned before the node went off goes on beside this one. It does no harm: a node that is
+            // polled more often sends nothing before it is due.
             self.time.after(0, Event::Poll(at));
         }
     }
@@ -214,15 +247,23 @@ impl Settings {
             return;
         };
         if let Some(status) = next.status {
-            self.time.send(&Event::Status(at, Payload(Rc::new(status))));
+            self.time.send(&Event::Status {
+                node: at,
+                payload: Payload(Rc::new(status)),
+            });
         }
         if next.pulls {
-            self.time.send(&Event::Pull(at, question));
-            let unanswered = Event::Pulled(at, question, None);
+            self.time.send(&Event::Pull { node: at, question });
+            let unanswered = Event::Pulled {
+                node: at,
+                question,
+                answer: None,
+            };
             self.time.after(10 * SECOND, unanswered);
         }
-        let longest = 5 * SECOND * self.nodes.len() as i64;
-        self.time.sometime(SECOND, longest / 4, Event::Poll(at));
+        // Of many nodes each is polled less often, so that a run does not take longer.
+        let longest_pause = 5 * SECOND * self.nodes.len() as i64 / 4;
+        self.time.sometime(SECOND, longest_pause, Event::Poll(at));
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
@@ -263,11 +304,12 @@ impl Settings {
 
     /// A value not given before; some are out of range.
     fn value(&mut self) -> f64 {
-        self.values += 1;
+        self.values_given += 1;
+        let given = self.values_given as f64;
         if self.time.chance(100) {
-            return 2.0 + self.values as f64;
+            return 2.0 + given;
         }
-        1e-3 + self.values as f64 * 1e-4
+        1e-3 + given * 1e-4
     }
 
     /// A target or a threshold, or that there is no target.
@@ -285,11 +327,14 @@ impl Settings {
     }
 
     fn some(&mut self) -> Vec<String> {
-        let Self { nodes, time, .. } = self;
-        let some = nodes.iter().filter(|_| time.chance(700));
-        let mut names: Vec<_> = some.map(|node| node.name.clone()).collect();
+        let mut names = Vec::new();
+        for node in &self.nodes {
+            if self.time.chance(700) {
+                names.push(node.name.clone());
+            }
+        }
         if names.is_empty() {
-            names.push(nodes[0].name.clone());
+            names.push(self.nodes[0].name.clone());
         }
         names
     }
@@ -318,8 +363,10 @@ impl Settings {
         };
         let passes = self.time.chance(500);
         let mut gates = Gate::defaults();
-        // Nothing is measured, so only rollouts that need no measurement pass.
-        gates.retain(|gate| !passes || gate.where_measured);
+        if passes {
+            // Nothing is measured, so only rollouts that need no measurement pass.
+            gates.retain(|gate| gate.where_measured);
+        }
         let plan = RolloutPlan {
             basics: Basics {
                 select: Selector::new(&names).unwrap(),
@@ -402,20 +449,21 @@ impl Settings {
             }
             "hub is killed" => self.hub_crash(SECOND),
             "hub is killed at a commit" => {
-                let cut = self.time.random();
-                let event = self.time.below(4);
+                // One number for what is done and for where the log is cut: what is done uses little of it.
+                let random = self.time.random();
+                let work = self.time.below(4);
                 let names = self.some();
                 let setting = self.setting();
                 let command = self.time.one_of(&Command::ALL);
                 let now = self.time.now();
                 let before = self.hub.file.read();
-                match event {
+                match work {
                     0 => self.hub.set(&names, setting, now),
-                    1 => self.hub.command(cut, command, now),
-                    2 => self.hub.end_trial(cut, now),
+                    1 => self.hub.command(random, command, now),
+                    2 => self.hub.end_trial(random, now),
                     _ => self.hub.tick(now),
                 }
-                let image = self.hub.image_at_a_commit(before, cut);
+                let image = self.hub.image_at_a_commit(before, random);
                 self.hub_crash(SECOND);
                 if let Some(image) = image {
                     self.hub.file.restore(&image);
@@ -429,11 +477,12 @@ impl Settings {
                 if let Some(backup) = self.hub.file.backup.clone()
                     && self.hub.is_on()
                 {
-                    // No backup is restored within the few seconds by which revisions may be ahead of the clock.
+                    // Revisions follow the clock and may be a few seconds ahead of it. After a minute the clock has passed
+                    // those that the lost database gave, so that none is given a second time.
                     self.hub_crash(60 * SECOND);
                     self.hub.file.free();
                     self.hub.file.restore(&backup);
-                    self.restored_ms = self.time.now_ms;
+                    self.restored_ms = Some(self.time.now_ms);
                 }
             }
             "network is cut" => self.time.cut_until_ms = self.time.now_ms + lasts,
@@ -449,7 +498,8 @@ impl Settings {
         self.time.calm_down();
         self.hub.file.free();
         let now = self.time.now();
-        assert!(self.hub.switch_on(now));
+        let is_on = self.hub.switch_on(now);
+        assert!(is_on, "the hub's database opens once its disk has room");
         self.hub.tick(now);
         for at in 0..self.nodes.len() {
             self.node_on(at);
@@ -470,9 +520,11 @@ impl Settings {
             let setting = desired.setting;
             // What the hub forgot with its database may be in force; a setting given since must not be skipped.
             let is_newer = revision > desired.revision;
-            let is_forgotten = is_newer && desired.at_ms <= self.restored_ms;
-            let is_replaced = revision == desired.revision && node.deviates(setting);
-            if !is_forgotten && !is_replaced && !node.has(setting) {
+            let is_before_restore =
+                self.restored_ms.is_some_and(|restored_ms| desired.at_ms <= restored_ms);
+            let is_forgotten = is_newer && is_before_restore;
+            let is_overruled = revision == desired.revision && node.deviates(setting);
+            if !is_forgotten && !is_overruled && !node.has(setting) {
                 let shown = node.shown();
                 wrong.push(format!("node {at} has {shown}, but {desired:?} is desired"));
             }
