@@ -52,6 +52,20 @@ impl Card {
         Ok(self.energy.update(now, raw))
     }
 
+    /// The energy counted so far if it `counts_energy`, else the present power.
+    fn joules_or_watts(
+        &mut self,
+        counts_energy: bool,
+        driver: &dyn Cards,
+        now: Instant,
+    ) -> Result<f64, String> {
+        if counts_energy {
+            self.joules(driver, now)
+        } else {
+            self.watts(driver)
+        }
+    }
+
     /// The present power.
     fn watts(&self, driver: &dyn Cards) -> Result<f64, String> {
         let milliwatts = driver.power_mw(self.index)?.ok_or(LOST)?;
@@ -101,12 +115,13 @@ impl Nvml {
 
     /// Queries each card of `driver`. The machine has at least `known` cards, which the driver may not all show.
     fn with(driver: Box<dyn Cards>, known: usize) -> Result<Self, MeterError> {
-        let count = driver.count().map_err(MeterError::missing)?;
+        let shown = driver.count().map_err(MeterError::missing)?;
         let mut cards = Vec::new();
         let mut counts_energy = true;
-        for index in 0..count {
-            let card_counts = matches!(driver.energy_mj(index), Ok(Some(_)));
-            if !card_counts {
+        for index in 0..shown {
+            // Only a counter that answers now is relied on. Of a card without one the power is read.
+            let has_counter = matches!(driver.energy_mj(index), Ok(Some(_)));
+            if !has_counter {
                 let power = driver.power_mw(index).map_err(|reason| unreadable(index, reason))?;
                 if power.is_none() {
                     continue;
@@ -121,14 +136,14 @@ impl Nvml {
             });
         }
         if cards.is_empty() {
-            let reason = if count == 0 {
+            let reason = if shown == 0 {
                 "there is a driver, but no card"
             } else {
                 "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
             };
             return Err(MeterError::missing(reason));
         }
-        let in_all = known.max(count as usize);
+        let in_all = known.max(shown as usize);
         Ok(Self {
             unread: in_all.saturating_sub(cards.len()),
             cards,
@@ -151,24 +166,22 @@ impl Meter for Nvml {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.cards.len());
         let mut sum = 0.0;
-        let value = if self.counts_energy {
+        // All cards are read in the same way, because only like figures can be added.
+        let value_of = if self.counts_energy {
             Value::Counter
         } else {
             Value::Power
         };
         for card in &mut self.cards {
-            let read = if self.counts_energy {
-                card.joules(&*self.driver, now)
-            } else {
-                card.watts(&*self.driver)
-            };
-            let figure = read.map_err(|reason| unreadable(card.index, reason))?;
+            let figure = card
+                .joules_or_watts(self.counts_energy, &*self.driver, now)
+                .map_err(|reason| unreadable(card.index, reason))?;
             sum += figure;
             rails.push(Rail {
                 name: Arc::clone(&card.energy.name),
                 domain: Some(Domain::Gpu),
                 in_total: true,
-                value: value(figure),
+                value: value_of(figure),
             });
         }
         let mut left_out = Vec::new();
@@ -179,8 +192,8 @@ impl Meter for Nvml {
         Ok(vec![Reading {
             at: None,
             values: Values {
-                total: Some(value(sum)),
-                gpu: Some(value(sum)),
+                total: Some(value_of(sum)),
+                gpu: Some(value_of(sum)),
                 ..Values::default()
             },
             total_from: parts::total_from(&self.parts(), &left_out).into(),

@@ -69,12 +69,15 @@ fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
         most = most.max(bench.account.footprint());
     }
     let spent = bench.close(span, 10_800_000);
+    // The wave has a mean of 12.5 W. The clip begins 0.25 s after the first sample, from whose 15 W the power falls by 1 W a
+    // second.
     let exact = 12.5 * 10_800.0 - 0.25 * (15.0 - 0.125);
     let joules = total(&spent.energy);
     assert!((joules - exact).abs() < 1e-3, "{joules}, not {exact}");
     assert!((spent.energy.joules.unwrap() - joules).abs() < 1e-3);
     assert_eq!(spent.energy.quality, EnergyQuality::Measured);
     assert!((spent.energy.coverage - 1.0).abs() < 1e-9);
+    // Ten a second from 0 on, without the three before the clip.
     assert_eq!(spent.energy.samples, 107_998);
     let whole = &spent.energy.domains[0];
     assert_eq!(whole.peak_watts, Some(15.0));
@@ -106,6 +109,7 @@ fn a_span_older_than_the_history_is_reported_as_not_covered() {
     bench.sample_until(200_000, |_| 10.0);
     let found = bench.energy(0, 200_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
+    // The history has 1024 samples, which cover the last 102 of the 200 seconds.
     assert!((found.coverage - 0.51).abs() < 0.01, "{}", found.coverage);
     assert_eq!(bench.energy(0, 50_000).quality, EnergyQuality::Unavailable);
 }
@@ -113,19 +117,21 @@ fn a_span_older_than_the_history_is_reported_as_not_covered() {
 #[test]
 fn samples_missing_from_the_total_make_the_energy_partial_and_a_change_of_its_rule_is_reported() {
     let mut bench = Bench::read_every(100);
-    for i in 0..=100 {
+    for sample in 0..=100 {
         let mut both = reading(Value::Power(5.0));
-        both.values.cpu = Some(Value::Counter(i as f64));
-        if i >= 50 {
+        both.values.cpu = Some(Value::Counter(sample as f64));
+        if sample >= 50 {
             both.values.total = None;
             both.total_from = "input_rail".into();
         }
-        bench.account.sampled(bench.at(i * 100), &both);
+        bench.account.sampled(bench.at(sample * 100), &both);
     }
     let found = bench.energy(0, 10_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
+    // The samples 0 to 49 have a total: 49 of the 100 intervals.
     assert!((found.coverage - 0.49).abs() < 1e-9, "{}", found.coverage);
-    assert!((found.domains[1].joules - 100.0).abs() < 1e-9);
+    let cpu = found.domains.iter().find(|one| one.domain == "cpu").unwrap();
+    assert!((cpu.joules - 100.0).abs() < 1e-9);
     assert_eq!(found.total_from, "sum_of_rails, then input_rail");
     let now = bench.account.history.present(bench.at(10_000)).unwrap();
     assert_eq!(now.watts.cpu, Some(10.0));
@@ -144,7 +150,9 @@ fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
     bench.until(span, 1060);
     bench.sample_until(1500, |t| 10.0 * t);
     let spent = bench.close(span, 1060);
-    assert!((total(&spent.energy) - 5.0 * (1.06 * 1.06 - 1.02 * 1.02)).abs() < 1e-9);
+    // The integral of 10·t W from 1.02 s to 1.06 s.
+    let exact = 5.0 * (1.06 * 1.06 - 1.02 * 1.02);
+    assert!((total(&spent.energy) - exact).abs() < 1e-9);
     assert_eq!(spent.energy.samples, 0);
     assert_eq!(spent.energy.total_from, "sum_of_rails");
     assert_eq!(spent.board.unwrap().cpu_mhz, Some(1500.0));
@@ -173,7 +181,7 @@ fn savings_are_the_time_of_avoided_calls_times_detector_watts() {
     let spent = bench.close(clip.unwrap(), 600_000);
     let watts = spent.detector_watts.unwrap();
     assert!((watts - 20.0).abs() < 2.0, "{watts}");
-    // 300 calls of 50 ms.
+    // In the last 60 s calls are avoided half of the time, ten a second: 300 of 50 ms.
     let saved_s = spent.energy.saved_joules_estimated.unwrap() / watts;
     assert!((saved_s - 15.0).abs() < 0.2, "{saved_s}");
 }
@@ -227,7 +235,7 @@ proptest! {
     #[test]
     fn clips_of_all_cameras_sum_to_the_node_total(
         events in events(),
-        counted in any::<bool>(),
+        is_counter in any::<bool>(),
     ) {
         // Bridges every gap between two samples that the events can make.
         let mut bench = Bench::read_every(100_000);
@@ -236,7 +244,7 @@ proptest! {
         let mut joules = 0.0;
         let mut sample = |bench: &mut Bench, watts: f64, seconds: f64| {
             joules += watts * seconds;
-            let value = if counted { Value::Counter(joules) } else { Value::Power(watts) };
+            let value = if is_counter { Value::Counter(joules) } else { Value::Power(watts) };
             bench.sample(bench.now, value);
         };
         sample(&mut bench, 10.0, 0.0);

@@ -5,8 +5,11 @@ use proptest::prelude::*;
 /// Seconds before the first step of a history, so that spans may start before it.
 const START: f64 = 2000.0;
 
-/// Whole nanoseconds, like an `Instant`.
-fn whole(seconds: f64) -> f64 {
+/// The interval at which the meter is read.
+const INTERVAL: Duration = Duration::from_millis(100);
+
+/// Rounds to whole nanoseconds, as an `Instant` has them.
+fn in_nanoseconds(seconds: f64) -> f64 {
     Duration::from_secs_f64(seconds).as_secs_f64()
 }
 
@@ -20,6 +23,7 @@ struct Point {
 /// The integral over a span: between two samples, power changes evenly or a counter rises evenly.
 fn integral(samples: &[Point], is_counter: bool, start: f64, end: f64) -> Sum {
     let mut sum = Sum::default();
+    // The longest gap that is joined, seconds.
     let longest = if is_counter { 60.0 } else { 1.0 };
     for pair in samples.windows(2) {
         let before = pair[0];
@@ -38,7 +42,7 @@ fn integral(samples: &[Point], is_counter: bool, start: f64, end: f64) -> Sum {
 }
 
 fn close(a: f64, b: f64) -> bool {
-    // An `Instant` has whole nanoseconds.
+    // An `Instant` has whole nanoseconds, and the sums are of many differences of them.
     (a - b).abs() <= 1e-6 * b.abs().max(1.0)
 }
 
@@ -47,7 +51,7 @@ fn seconds() -> impl Strategy<Value = f64> {
     prop_oneof![9 => 0.01..2.5_f64, 1 => 2.5..120.0_f64]
 }
 
-/// A place relative to the first and the last sample.
+/// An end of a span: 0 at the first sample, 1 at the last.
 fn place() -> impl Strategy<Value = f64> {
     prop_oneof![4 => -0.2..1.2_f64, 1 => Just(0.0), 1 => Just(1.0)]
 }
@@ -56,18 +60,19 @@ proptest! {
     #[test]
     fn the_difference_of_two_sums_is_the_integral_over_the_span(
         steps in prop::collection::vec((seconds(), 0.0..100.0_f64), 0..60),
-        a in place(),
-        b in place(),
+        one_end in place(),
+        other_end in place(),
     ) {
         let zero = Instant::now();
         let moment = |seconds: f64| zero + Duration::from_secs_f64(seconds);
         for is_counter in [false, true] {
-            let mut history = History::new(Duration::from_millis(100));
+            let mut history = History::new(INTERVAL);
             let mut at = START;
             let mut joules = 0.0;
             let mut samples = Vec::new();
+            // A step adds these joules to a counter, or is a power of as many watts.
             for (seconds, number) in &steps {
-                at = whole(at + seconds);
+                at = in_nanoseconds(at + seconds);
                 joules += number;
                 if is_counter {
                     history.add(moment(at), &reading(Value::Counter(joules)), |_, _| Vec::new());
@@ -78,9 +83,9 @@ proptest! {
                 }
             }
             let first = samples.first().map_or(START, |point| point.at);
-            let place = |share: f64| whole(first + share * (at - first).max(1.0));
-            let start = place(a.min(b));
-            let end = place(a.max(b));
+            let second_at = |share: f64| in_nanoseconds(first + share * (at - first).max(1.0));
+            let start = second_at(one_end.min(other_end));
+            let end = second_at(one_end.max(other_end));
             let from = history.at(moment(start)).total();
             let to = history.at(moment(end)).total();
             let expected = integral(&samples, is_counter, start, end);
