@@ -27,13 +27,19 @@ const OWNER_CHECK_EVERY: Duration = Duration::from_secs(60);
 const CONFLICT: &str = "another node of this name is on the network, or an earlier run of this one was killed a moment \
                         ago: both answer its frames; give each node a unique name (node.name)";
 
+fn unannounced(error: &zenoh::Error) -> String {
+    format!(
+        "the name cannot be announced on the network, or checked for another node's: {error}; this is tried again"
+    )
+}
+
 /// The tokens of a name, once owned: they last until the session is closed or the last clone is dropped.
 #[derive(Clone, Default)]
 pub(crate) struct NodeName(Arc<Mutex<Vec<LivelinessToken>>>);
 
 impl NodeName {
-    /// Declares the token `key` once no other node holds it, and keeps it. Until then, and if another node appears
-    /// later, `part` reports that two nodes have the same name: both answer its frames.
+    /// Declares the token `key` once no other node holds it, and keeps it. While another node has the same name, `part`
+    /// reports that both answer its frames; while the network cannot be asked, it reports the error.
     pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
         let own = format!("{key}/{}", session.zid());
         loop {
@@ -45,20 +51,21 @@ impl NodeName {
             match self.claim(&session, &key, &own).await {
                 Ok(true) => part.works(),
                 Ok(false) => part.degraded(CONFLICT),
-                Err(error) => {
-                    tracing::warn!(%error, key, "cannot declare the liveliness token; will retry");
-                }
+                Err(error) => part.degraded(unannounced(&error)),
             }
             tokio::time::sleep(jittered(pause)).await;
         }
     }
 
-    /// Claims the name unless this node has it. Returns true unless another node claims it: without this node, or with a
-    /// lower id at the same time.
+    /// Claims the name unless this node has it. Returns false if another node has claimed it: before this one, or at the
+    /// same time with a lower id.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
-        let is_free = other_claims(session, key, own).await?.is_empty();
-        if !is_free || self.is_held() {
-            return Ok(is_free);
+        let has_other_claims = !other_claims(session, key, own).await?.is_empty();
+        if has_other_claims {
+            return Ok(false);
+        }
+        if self.is_held() {
+            return Ok(true);
         }
         let claim = session.liveliness().declare_token(own).await?;
         tokio::time::sleep(CLAIM_SPREAD_TIME).await;
@@ -112,6 +119,8 @@ pub(crate) mod tests {
         session(&[("listen/endpoints", "[]")]).await
     }
 
+    const KEY: &str = "albireo/@alive/n";
+
     async fn until(mut holds: impl AsyncFnMut() -> bool) {
         let holding = async {
             while !holds().await {
@@ -141,31 +150,46 @@ pub(crate) mod tests {
         let at = one.info().locators().await[0].to_string();
         let connect = format!("[{at:?}]");
         let two = session(&[("listen/endpoints", "[]"), ("connect/endpoints", &connect)]).await;
-        until(async || {
-            one.info().peers_zid().await.count() + two.info().peers_zid().await.count() >= 2
-        })
-        .await;
+        let sees_the_other =
+            async |session: &Session| session.info().peers_zid().await.next().is_some();
+        until(async || sees_the_other(&one).await && sees_the_other(&two).await).await;
         let nodes = [one, two].map(|session| {
             let name = NodeName::default();
             let readiness = Readiness::default();
-            let key = "albireo/@alive/n".to_owned();
-            let part = readiness.part("name");
+            let hold = name.clone().hold(session, KEY.to_owned(), readiness.part("name"));
+            let holding = tokio::spawn(hold);
             Twin {
-                holding: tokio::spawn(name.clone().hold(session, key, part)),
                 name,
                 readiness,
+                holding,
             }
         });
         until(async || {
             let [one, two] = &nodes;
-            let only_one_has_it = one.name.is_held() != two.name.is_held();
-            let is_right = |node: &Twin| node.name.is_held() == node.is_without_faults();
-            only_one_has_it && is_right(one) && is_right(two)
+            let is_held_once = one.name.is_held() != two.name.is_held();
+            let only_the_other_is_faulty =
+                |node: &Twin| node.name.is_held() == node.is_without_faults();
+            is_held_once && only_the_other_is_faulty(one) && only_the_other_is_faulty(two)
         })
         .await;
         for node in nodes {
-            assert!(!node.holding.is_finished(), "it is held");
+            assert!(!node.holding.is_finished(), "it goes on checking");
             node.holding.abort();
         }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_name_that_cannot_be_announced_is_a_fault_of_the_node() {
+        let session = session_alone().await;
+        session.close().await.unwrap();
+        let readiness = Readiness::default();
+        let name = NodeName::default();
+        let hold = name.clone().hold(session, KEY.to_owned(), readiness.part("name"));
+        let holding = tokio::spawn(hold);
+        until(async || !readiness.health().faults.is_empty()).await;
+        holding.abort();
+        let reason = &readiness.health().faults[0].fault.reason;
+        assert!(reason.contains("cannot be announced"), "{reason}");
+        assert!(!name.is_held());
     }
 }

@@ -261,8 +261,8 @@ impl SharedParts {
         tasks: &mut Supervisor,
     ) -> Result<(), NodeError> {
         // On a blocking thread, because it runs the programs to read their versions.
-        let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
-        let found = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
+        let search = tokio::task::spawn_blocking(move || LiveSource::find(settings));
+        let found = search.await.map_err(NodeError::new)?.map_err(NodeError::new)?;
         let source = found.counting(Arc::clone(&board.input.arrivals));
         let name = board.name();
         let readiness = &self.board.readiness;

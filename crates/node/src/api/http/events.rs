@@ -65,14 +65,12 @@ impl EventSelection {
         }
         let known = News::NAMES;
         let mut types = self.types.iter().flat_map(|types| types.split(','));
-        match types.find(|name| !known.contains(name)) {
-            None => Ok(()),
-            Some(name) => {
-                let known_ones = known.join(", ");
-                let detail = format!("there is no event type `{name}`; there are: {known_ones}");
-                Err(bad_request(detail).allowing(known))
-            }
+        if let Some(unknown) = types.find(|name| !known.contains(name)) {
+            let all = known.join(", ");
+            let detail = format!("there is no event type `{unknown}`; there are: {all}");
+            return Err(bad_request(detail).allowing(known));
         }
+        Ok(())
     }
 
     fn wants(&self, news: &News) -> bool {
@@ -101,8 +99,8 @@ pub(super) async fn stream(
     Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     selection.check(&shared)?;
-    let ended = shared.streams.add(&shared.shutdown);
-    let place = ended.clone().drop_guard();
+    let end = shared.streams.add(&shared.shutdown);
+    let ends_at_drop = end.clone().drop_guard();
     // Subscribes before the present state is read, so that no change is missed in between.
     let changes = stream::unfold(shared.board.subscribe(), |mut events| async move {
         let next = match events.recv().await {
@@ -115,15 +113,15 @@ pub(super) async fn stream(
     let current = shared.board.current(unix_nanoseconds());
     let all = stream::iter(current).map(Ok).chain(changes);
     let events = all.filter_map(move |event| {
-        // Given up when the stream is dropped.
-        let _place = &place;
-        let sent = sse::Event::default();
+        // The closure owns the guard, so that the stream's place is free once the stream is dropped.
+        let _guard = &ends_at_drop;
+        let message = sse::Event::default();
         std::future::ready(match event {
             Ok(event) if !selection.wants(&event.news) => None,
-            Ok(event) => Some(sent.event(event.news.name()).data(event.json())),
-            Err(lost) => Some(sent.event(LAGGED).data(json!({ "lost": lost }).to_string())),
+            Ok(event) => Some(message.event(event.news.name()).data(event.json())),
+            Err(lost) => Some(message.event(LAGGED).data(json!({ "lost": lost }).to_string())),
         })
     });
-    let events = events.map(Ok).take_until(ended.cancelled_owned());
-    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+    let until_end = events.map(Ok).take_until(end.cancelled_owned());
+    Ok(Sse::new(until_end).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
