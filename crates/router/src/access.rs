@@ -115,17 +115,17 @@ impl Rules<'_> {
     fn for_hubs(&mut self) -> Vec<String> {
         let queried = self.queried();
         let published = self.published();
-        let changed = self.all.changed();
-        let alive = self.all.alive();
+        let changed = [self.all.changed()];
+        let alive = [self.all.alive()];
         let mut ids = vec![
-            self.allow("hub notices", "ingress", &["put"], &[changed.clone()]),
+            self.allow("hub notices", "ingress", &["put"], &changed),
             self.allow("hub answers", "ingress", &ANSWERS, &queried),
             self.allow("hub hears", "ingress", &["declare_subscriber"], &published),
             self.allow(
                 "hub watches",
                 "ingress",
                 &["declare_liveliness_subscriber", "liveliness_query"],
-                &[alive.clone()],
+                &alive,
             ),
             self.allow("to hubs", "egress", &["put"], &published),
             self.allow("questions to hubs", "egress", &["query"], &queried),
@@ -133,7 +133,7 @@ impl Rules<'_> {
                 "declarations to hubs",
                 "egress",
                 &["declare_subscriber", "liveliness_token"],
-                &[changed, alive],
+                &[changed, alive].concat(),
             ),
         ];
         if self.pictures {

@@ -76,8 +76,8 @@ impl RouterOptions {
         Ok(config)
     }
 
-    /// Finds files with secrets that other users of this machine can read. Names none of a configuration that cannot be used,
-    /// which [`zenoh`](Self::zenoh) explains.
+    /// Finds files with secrets that other users of this machine can read. Names none of a configuration that cannot be
+    /// used, which [`zenoh`](Self::zenoh) explains.
     pub fn exposed_here(&self) -> Vec<Finding> {
         let config = self.zenoh().ok();
         let keys = config.iter().flat_map(|config| identity::tls_files(config, "private_key"));
