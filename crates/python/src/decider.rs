@@ -130,15 +130,16 @@ impl Decider {
             self.ask(head, empty)
         };
         self.grey.forget();
-        let wants_detector = need == Need::Detections;
-        if !wants_detector {
+        if need != Need::Detections {
             self.finish_frame(index, Answer::Final);
-        } else if self.policy.waits() {
+            return Ok(false);
+        }
+        if self.policy.waits() {
             self.order.wait(index);
         } else {
             self.finish_frame(index, Answer::Early);
         }
-        Ok(wants_detector)
+        Ok(true)
     }
 
     /// Takes the detections of a frame that was answered earlier, or `None` if the detector failed; returns the final
@@ -382,8 +383,8 @@ impl Decider {
                     Some(empty) => Evidence::Screen { empty },
                     None => Evidence::Unavailable,
                 },
-                Need::GreyPicture => self.grey.evidence(None),
-                Need::SmallGreyPicture { width } => self.grey.evidence(Some(width)),
+                Need::GreyPicture => self.grey.halved(),
+                Need::SmallGreyPicture { width } => self.grey.with_columns(width),
             };
             // This frame is the pending one, so its evidence is never refused.
             need = self
@@ -433,7 +434,7 @@ fn wrong(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// The error for detections of a frame that asked for none, while `pending` may have.
+/// The error for detections of a frame that waits for none. `pending` is the frame that waits for some.
 fn not_waiting(frame: u64, pending: Option<u64>) -> PyErr {
     let reason = match pending {
         Some(pending) => format!(", frame {pending} does"),

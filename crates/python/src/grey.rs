@@ -43,7 +43,7 @@ impl Grey {
         let (red, blue) = if red_first { (0, 2) } else { (2, 0) };
         let plane = |color| picture.index_axis(Axis(2), color);
         self.pixels.resize(rows * columns, 0);
-        // Whatever the layout of the picture: the buffer is filled by place, not in the order of the visit.
+        // `Zip` pairs pixels by row and column, however the picture lies in memory.
         let grey = ArrayViewMut2::from_shape((rows, columns), &mut self.pixels)
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
         Zip::from(grey)
@@ -64,21 +64,31 @@ impl Grey {
         self.size = None;
     }
 
-    /// Returns the picture, halved while at least `width` columns remain, or once without a width.
-    pub(crate) fn evidence(&mut self, width: Option<u32>) -> Evidence<'_> {
-        let Some(mut size) = self.size else {
+    /// Returns the picture, halved once if it can be.
+    pub(crate) fn halved(&mut self) -> Evidence<'_> {
+        let Some(mut size) = self.size.take() else {
             return Evidence::Unavailable;
         };
-        let can_be_halved = |size: PictureSize| size.width >= 2 && size.height >= 2;
-        if let Some(width) = width {
-            while can_be_halved(size) && size.width / 2 >= width.max(1) {
-                size = halve(&mut self.pixels, size);
-            }
-        } else if can_be_halved(size) {
+        if can_be_halved(size) {
             size = halve(&mut self.pixels, size);
         }
-        // The buffer has been made smaller, so it cannot be used a second time.
-        self.size = None;
+        self.evidence(size)
+    }
+
+    /// Returns the picture, halved while at least `width` columns remain.
+    pub(crate) fn with_columns(&mut self, width: u32) -> Evidence<'_> {
+        let Some(mut size) = self.size.take() else {
+            return Evidence::Unavailable;
+        };
+        while can_be_halved(size) && size.width / 2 >= width.max(1) {
+            size = halve(&mut self.pixels, size);
+        }
+        self.evidence(size)
+    }
+
+    /// The picture, which now has this size. It was taken, because a buffer that was made smaller cannot be used a second
+    /// time.
+    fn evidence(&self, size: PictureSize) -> Evidence<'_> {
         Evidence::GreyPicture(GreyPicture {
             size,
             pixels: &self.pixels,
@@ -104,6 +114,10 @@ fn size(rows: usize, columns: usize) -> PyResult<PictureSize> {
         )));
     }
     Ok(PictureSize::new(columns as u32, rows as u32))
+}
+
+fn can_be_halved(size: PictureSize) -> bool {
+    size.width >= 2 && size.height >= 2
 }
 
 /// Halves a grey picture in each direction, in place, and returns its new size.
