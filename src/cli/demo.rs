@@ -84,8 +84,10 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     let mut moved = Vec::new();
     let listener = listen("page", arguments.port, &mut moved).await?;
     let hub_listener = listen("fleet's page", arguments.hub_port, &mut moved).await?;
-    let frames = listen("camera", 7447, &mut moved).await?.local_addr()?;
-    let endpoint = format!("tcp/{frames}");
+    // Only finds a free port: it is closed again, so that the node's session can listen there.
+    let free = listen("camera", 7447, &mut moved).await?;
+    let endpoint = format!("tcp/{}", free.local_addr()?);
+    drop(free);
     let addresses = [listener.local_addr()?, hub_listener.local_addr()?];
     let mut config = configuration(&arguments, &endpoint)?;
     for (label, address) in ["page", "hub"].into_iter().zip(addresses) {

@@ -34,8 +34,9 @@ pub(super) async fn run(arguments: DiagArguments) -> anyhow::Result<()> {
     let remedy = "is the node or hub running, and is this its address?";
     let client = Client::new(&arguments.url, arguments.token, remedy)?;
     let response = client.plain(Method::GET, "/api/v1/diag").await?;
-    let is_archive = response.headers().get(CONTENT_TYPE);
-    if is_archive.is_none_or(|kind| kind != "application/x-tar") {
+    let media_type = response.headers().get(CONTENT_TYPE);
+    let is_archive = media_type.is_some_and(|kind| kind == "application/x-tar");
+    if !is_archive {
         bail!(
             "{} returned no archive; is it a node or a hub?",
             arguments.url
@@ -50,8 +51,13 @@ pub(super) async fn run(arguments: DiagArguments) -> anyhow::Result<()> {
         .await
         .context("the connection ended before the archive was complete")?;
     let shown = file.display();
-    let written = File::create_new(&file).and_then(|mut opened| opened.write_all(&archive));
-    written.with_context(|| format!("{shown} cannot be written"))?;
+    let mut opened =
+        File::create_new(&file).with_context(|| format!("{shown} cannot be written"))?;
+    if let Err(error) = opened.write_all(&archive) {
+        // A part of an archive would only be in the way of the next attempt.
+        let _ = std::fs::remove_file(&file);
+        return Err(error).with_context(|| format!("{shown} cannot be written"));
+    }
     println!("{shown}: {} bytes; tar xf {shown}", archive.len());
     Ok(())
 }

@@ -53,7 +53,7 @@ pub struct Message {
     pub data: Bytes,
 }
 
-/// The messages of a file, in the file's order. After a damaged place there are none: [`end`](Self::end) says so.
+/// The messages of a file, in the file's order. After a damaged place there are none: [`damage`](Self::damage) says so.
 pub struct Messages {
     file: File,
     reader: LinearReader,

@@ -9,6 +9,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const MOST_NODES: usize = 1_000_000;
 /// The maximum number of sessions in a run: each is a connection, with much state at both ends.
 const MOST_SESSIONS: usize = 20_000;
+/// The maximum number of reports that a node has waiting at the start.
+const MOST_BACKLOG: f64 = 100_000.0;
 /// A day, in seconds.
 const DAY_S: f64 = 86_400.0;
 
@@ -121,6 +123,8 @@ impl Options {
         within("clip-seconds", self.clip_s, 0.1, DAY_S)?;
         // A batch has fewer reports in any case; gathering more only delays them.
         within("gather", self.gather as f64, 1.0, 500.0)?;
+        within("backlog", self.backlog as f64, 0.0, MOST_BACKLOG)?;
+        within("worse-by", self.worse_by, 0.1, 10.0)?;
         if !is_on_this_machine(&self.connect) {
             return Err(format!(
                 "`{}` is not on this machine: a simulated fleet connects only over loopback (tcp/127.0.0.1:7448)",
@@ -168,6 +172,9 @@ mod tests {
         }
         assert!(checked(&|options| options.nodes = 0).is_err());
         assert!(checked(&|options| options.nodes = 2_000_000).is_err());
+        assert!(checked(&|options| options.backlog = u64::MAX).is_err());
+        assert!(checked(&|options| options.worse_by = f64::NAN).is_err());
+        assert!(checked(&|options| options.worse_by = -1.0).is_err());
         // More than nodes.
         assert!(checked(&|options| options.sessions = 200).is_err());
         assert!(checked(&|options| options.clip_s = f64::NAN).is_err());

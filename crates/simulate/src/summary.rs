@@ -33,18 +33,21 @@ impl fmt::Display for Summary {
             "nodes: {}, sessions: {} (open after {:.1} s), {:.0} s",
             self.nodes, self.sessions, self.opened_s, self.played_s
         )?;
-        let drained_s = self.drained_s;
-        let bytes = counts.batch_bytes / counts.batches.max(1);
-        let busy = counts.busy;
-        let refused = counts.refused;
-        let no_reply = counts.no_reply;
+        writeln!(f, "status           {:>10}", counts.statuses)?;
+        writeln!(f, "reports made     {:>10}", counts.made)?;
         writeln!(
             f,
-            "status           {:>10}\n\
-             reports made     {:>10}\n  \
-             acknowledged   {:>10}  the last {drained_s:.1} s after the end\n\
-             batches sent     {:>10}  {bytes} B each; {busy} busy, {refused} refused, {no_reply} unanswered",
-            counts.statuses, counts.made, counts.acknowledged, counts.batches
+            "  acknowledged   {:>10}  the last {:.1} s after the end",
+            counts.acknowledged, self.drained_s
+        )?;
+        writeln!(
+            f,
+            "batches sent     {:>10}  {} B each; {} busy, {} refused, {} unanswered",
+            counts.batches,
+            counts.batch_bytes / counts.batches.max(1),
+            counts.busy,
+            counts.refused,
+            counts.no_reply
         )?;
         let answers = &self.answers;
         writeln!(

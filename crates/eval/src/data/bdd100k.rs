@@ -4,8 +4,8 @@
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
 //! of predictions has the same form and a `score` in each label.
 //!
-//! A frame that the labels do not list, although they list one behind it, was not labelled: it is not judged. A frame that is
-//! listed without labels has no objects. Labels that name pictures and no video, as those of the paper's authors, need not list
+//! Labels with a gap, a frame that they do not list although they list one behind it, are of some frames only: what they do
+//! not list is not judged. A frame that is listed without labels has no objects. Labels that name pictures and no video, as those of the paper's authors, need not list
 //! the last ones, either.
 //!
 //! Crowds, labels with the attribute `ignored`, and the categories "other person", "other vehicle" and "trailer" are regions
@@ -227,8 +227,8 @@ impl Reading<'_> {
                     index,
                     is_by_name,
                 } = frame.place(&stem, position);
-                let place = videos.entry(video).or_default().entry(index);
-                let btree_map::Entry::Vacant(place) = place else {
+                let by_index = videos.entry(video).or_default();
+                let btree_map::Entry::Vacant(place) = by_index.entry(index) else {
                     let what = format!(
                         "frame {} occurs twice: its video already has the index {index}",
                         frame.name
@@ -309,8 +309,11 @@ impl Frame {
     /// has them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
     fn place(&self, file_stem: &str, position: usize) -> FramePlace {
         let of_picture = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
-        let by_name = of_picture.rsplit_once('-').and_then(|(video, number)| {
-            let number = Some(number).filter(|number| number.len() == 7)?.parse::<usize>().ok()?;
+        let by_name = of_picture.rsplit_once('-').and_then(|(video, digits)| {
+            if digits.len() != 7 {
+                return None;
+            }
+            let number: usize = digits.parse().ok()?;
             Some((video, number.checked_sub(1)?))
         });
         match (&self.video, by_name) {

@@ -115,7 +115,7 @@ impl Findings {
             // A home folder is already in place of `~/`.
             let shown = path.display();
             let reason = format!(
-                "`{shown}` would be a folder called `~`: write `~/` for the home folder, or `./~` for such a folder"
+                "`{shown}` is no path in a home folder: write `~/` for that, or `./{shown}` if it is really called so"
             );
             self.add(key, reason);
         }

@@ -223,18 +223,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("model.onnx");
         let mut bytes = std::fs::read(fixture("outside.onnx")).unwrap();
-        let [named] = &*external_files(&bytes).into_iter().collect::<Vec<_>>() else {
-            panic!("the fixture names one file");
-        };
-        let weights = "w".repeat(named.len());
-        let place = bytes.windows(named.len()).position(|it| it == named.as_bytes()).unwrap();
-        bytes[place..][..named.len()].copy_from_slice(weights.as_bytes());
+        let names = Vec::from_iter(external_files(&bytes));
+        assert_eq!(names.len(), 1, "the fixture names one file");
+        let old_name = names[0].as_bytes();
+        // The fixture's name leads out of its folder. This one is as long, so that the lengths in the file stay right.
+        let new_name = "w".repeat(old_name.len());
+        let place = bytes.windows(old_name.len()).position(|it| it == old_name).unwrap();
+        bytes[place..place + old_name.len()].copy_from_slice(new_name.as_bytes());
         std::fs::write(&model, bytes).unwrap();
-        // One that is not there is said, and nothing is taken for its engine.
+        // Without the file of weights there is no key, so that no engine is taken for this model's.
         assert!(key_now(&settings(model.clone())).is_err());
         let mut keys = BTreeSet::new();
         for values in ["first", "again"] {
-            std::fs::write(folder.path().join(&weights), values).unwrap();
+            std::fs::write(folder.path().join(&new_name), values).unwrap();
             assert!(keys.insert(key_now(&settings(model.clone())).unwrap()));
         }
     }

@@ -125,7 +125,8 @@ mod tests {
     #[test]
     fn a_lost_device_is_distinguished_from_other_failures() {
         let lost = "the GPU is lost to this process";
-        // At a start, where nothing is lost that was not there.
+        // Said when a GPU cannot be used at the start. From a session that worked before, the same numbers mean that it was
+        // lost.
         let missing = "there is no such GPU";
         for (said, number, text) in [
             (lost, 214, "uncorrectable ECC error encountered"),
