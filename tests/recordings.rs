@@ -289,7 +289,7 @@ async fn frames_on_which_the_audit_found_a_difference_become_training_data() {
         ],
         &[],
     );
-    assert_contains(&said.succeeds(), &["pictures with", "of 1 recording in"]);
+    assert_contains(&said.succeeds(), &[" with ", "of 1 recording in"]);
     let read = script(&json!({"coco": out.join("annotations.json")}));
     assert!(read["images"].as_u64().unwrap() >= 1, "{read}");
     assert!(!read["boxes"].as_array().unwrap().is_empty(), "{read}");

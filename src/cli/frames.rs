@@ -59,7 +59,9 @@ impl FrameTarget {
         if self.connect.is_empty() && self.listen.is_empty() {
             return DEFAULT_ENDPOINT.to_owned();
         }
-        [&*self.connect, &self.listen].concat().join(", ")
+        let all = self.connect.iter().chain(&self.listen);
+        let endpoints: Vec<&str> = all.map(String::as_str).collect();
+        endpoints.join(", ")
     }
 }
 

@@ -8,6 +8,10 @@ pub(super) const MIN_RATE: f64 = 0.001;
 /// The most frames per second.
 pub(super) const MAX_RATE: f64 = 1000.0;
 
+/// The longest time, seconds: 11 days.
+#[cfg(feature = "eval")]
+const LONGEST_S: f64 = 1e6;
+
 /// Reads a number of frames per second, or the factor of a speed, at which frames are still a reasonable time apart.
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     let fits = |rate| (MIN_RATE..=MAX_RATE).contains(&rate);
@@ -17,13 +21,15 @@ pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
 /// Reads a time of at most 11 days, seconds.
 #[cfg(feature = "eval")]
 pub(super) fn above_zero(text: &str) -> Result<f64, String> {
-    number(text, |value| value > 0.0 && value <= 1e6, "above 0")
+    let fits = |value| value > 0.0 && value <= LONGEST_S;
+    number(text, fits, &format!("above 0, up to {LONGEST_S}"))
 }
 
 /// Reads a time of at most 11 days, seconds, that may be 0.
 #[cfg(feature = "eval")]
 pub(super) fn not_negative(text: &str) -> Result<f64, String> {
-    number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
+    let fits = |value| (0.0..=LONGEST_S).contains(&value);
+    number(text, fits, &format!("from 0 to {LONGEST_S}"))
 }
 
 /// A count with its noun: `1 clip`, `2 clips`.
@@ -59,6 +65,19 @@ mod tests {
             let refused = parse_rate(text).unwrap_err();
             assert_eq!(refused, "must be a number from 0.001 to 1000", "{text}");
         }
+    }
+
+    #[cfg(feature = "eval")]
+    #[test]
+    fn a_time_that_is_too_long_is_refused_with_the_longest() {
+        assert_eq!(above_zero("1e6"), Ok(1e6));
+        for text in ["2000000", "0", "nan"] {
+            let refused = above_zero(text).unwrap_err();
+            assert_eq!(refused, "must be a number above 0, up to 1000000", "{text}");
+        }
+        assert_eq!(not_negative("0"), Ok(0.0));
+        let refused = not_negative("2000000").unwrap_err();
+        assert_eq!(refused, "must be a number from 0 to 1000000");
     }
 
     #[test]

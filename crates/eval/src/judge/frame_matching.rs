@@ -172,22 +172,19 @@ impl FrameMatcher {
             .extend(self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index)));
         self.by_left.sort_by(|(left, _), (other, _)| left.total_cmp(other));
         let widest = self.truths.iter().map(|truth| truth.x2 - truth.x1).fold(0.0, f64::max);
-        for Prediction {
-            corners: prediction,
-            ..
-        } in &self.predictions
-        {
-            let first = self.by_left.partition_point(|&(left, _)| left < prediction.x1 - widest);
+        for prediction in &self.predictions {
+            let own = prediction.corners;
+            let first = self.by_left.partition_point(|&(left, _)| left < own.x1 - widest);
             let begin = self.candidates.len();
             for &(left, index) in &self.by_left[first..] {
-                if left > prediction.x2 {
+                if left > own.x2 {
                     break;
                 }
                 #[cfg(test)]
                 {
                     self.compared += 1;
                 }
-                let overlap = prediction.intersection_over_union(self.truths[index]);
+                let overlap = own.intersection_over_union(self.truths[index]);
                 if overlap >= IOU_THRESHOLDS[0] {
                     self.candidates.push((index, overlap));
                 }

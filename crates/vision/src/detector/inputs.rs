@@ -258,11 +258,12 @@ impl fmt::Display for InputUse {
                 }
             }
             Choice::Smallest(agreement) if agreement.pictures > 0 => {
-                let PaddedInput { size, padding } = self.largest;
+                let largest = self.largest;
                 write!(
                     f,
-                    ", not {} of {size}, which finds the same: {agreement}",
-                    percent(padding)
+                    ", not {} of {}, which finds the same: {agreement}",
+                    percent(largest.padding),
+                    largest.size
                 )
             }
             Choice::Smallest(_) => Ok(()),

@@ -147,10 +147,12 @@ impl Recognised {
                 Evidence::None => names.push(head.name),
             }
         }
-        for only in [&sure, &names] {
-            if let [name] = only.as_slice() {
-                return Ok(*name);
-            }
+        // Evidence for one head counts more than that there is none against it.
+        if let [name] = sure.as_slice() {
+            return Ok(*name);
+        }
+        if let [name] = names.as_slice() {
+            return Ok(*name);
         }
         if let Some(name) = by_convention(signature).filter(|name| names.contains(name)) {
             return Ok(name);
