@@ -301,8 +301,9 @@ fn bare(
         prepared.push(preparation.prepare(picture)?.converted(format)?);
     }
     let inputs: Vec<_> = prepared.iter().map(PreparedPicture::tensor).collect();
-    let shape = format.shape();
-    let size = format.size;
+    // A model with open sides runs at the size that the pictures need.
+    let size = prepared.first().map_or(format.size, PreparedPicture::size);
+    let shape = InputFormat { size, ..format }.shape();
     // The first runs lay out memory.
     for _ in 0..3 {
         session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;

@@ -2,7 +2,9 @@
 
 use super::{Copy, INPUTS, Measured, PLAIN, WARM_UP, Way};
 use crate::arguments::{Arguments, library};
+use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::ExecutionProvider;
+use albireo_vision::onnx::Metadata;
 use anyhow::bail;
 use half::f16;
 use ort::environment::Environment;
@@ -30,7 +32,7 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<Measure
     let session = sessions.open(Opened::AsTheNode)?;
     match session.inputs().first().map(|input| input.dtype()) {
         Some(ValueType::Tensor { ty, shape, .. }) => {
-            let shape = closed(shape)?;
+            let shape = closed(shape, image_size(&session))?;
             match ty {
                 TensorElementType::Float32 => measure::<f32>(&sessions, session, shape),
                 TensorElementType::Float16 => measure::<f16>(&sessions, session, shape),
@@ -42,16 +44,30 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<Measure
     }
 }
 
-/// Sets an open batch dimension to 1.
-fn closed(shape: &[i64]) -> anyhow::Result<Vec<i64>> {
+/// The shape of an input of one picture; open sides are those of the largest input that the model names.
+fn closed(shape: &[i64], largest: Option<PictureSize>) -> anyhow::Result<Vec<i64>> {
     let mut shape = shape.to_vec();
     if shape.first() == Some(&-1) {
         shape[0] = 1;
+    }
+    if let ([_, 3, rows @ -1, columns @ -1] | [_, rows @ -1, columns @ -1, 3], Some(size)) =
+        (shape.as_mut_slice(), largest)
+    {
+        *rows = size.height.into();
+        *columns = size.width.into();
     }
     if shape.iter().any(|side| *side < 1) {
         bail!("its input {shape:?} leaves its size open");
     }
     Ok(shape)
+}
+
+/// The size in the model's metadata.
+fn image_size(session: &Session) -> Option<PictureSize> {
+    let metadata = session.metadata().ok()?;
+    let keys = metadata.custom_keys().ok()?;
+    let entries = keys.into_iter().filter_map(|key| Some((key.clone(), metadata.custom(&key)?)));
+    Metadata::new(entries).image_size()
 }
 
 struct Sessions<'a> {
