@@ -127,8 +127,10 @@ impl PreparedPicture {
     /// # Errors
     /// None of a picture that was prepared.
     pub fn converted(&self, format: InputFormat) -> Result<Self, FrameFault> {
-        let InputTensor::Bytes(pixels) = self.tensor() else {
-            return Ok(self.copied());
+        let pixels = match self.tensor() {
+            // Other bytes are those of a model that takes bytes.
+            InputTensor::Bytes(pixels) if self.origin.format() != format => pixels,
+            InputTensor::Bytes(_) | InputTensor::Floats(_) => return Ok(self.copied()),
         };
         let size = self.size();
         let whole = InputFormat {
@@ -143,15 +145,18 @@ impl PreparedPicture {
             layout: PixelLayout::Rgb8,
             pixels: pixels.clone(),
         })?;
-        let mut converted = self.copied();
-        converted.letterbox = Some(letterbox);
-        Ok(converted)
+        Ok(self.with(Some(letterbox)))
     }
 
     /// A copy whose buffer is its own.
     pub(super) fn copied(&self) -> Self {
+        self.with(self.letterbox.clone())
+    }
+
+    /// The same picture in another buffer.
+    fn with(&self, letterbox: Option<Letterbox>) -> Self {
         Self {
-            letterbox: self.letterbox.clone(),
+            letterbox,
             source: self.source,
             mapping: self.mapping,
             took: self.took,
@@ -205,6 +210,7 @@ mod tests {
     use super::*;
     use crate::detector::HeadName;
     use crate::detector::head::tests::bound;
+    use crate::picture::InputElement;
 
     #[test]
     fn pictures_prepared_in_parallel_have_separate_buffers_which_are_reused() {
@@ -227,5 +233,28 @@ mod tests {
         assert_eq!(third.tensor().to_floats().as_ptr(), buffer);
         drop((second, third));
         assert_eq!(preparation.0.idle.lock().len(), 2);
+    }
+
+    #[test]
+    fn pixels_are_converted_to_the_models_format_and_bytes_of_a_model_that_takes_them_stay() {
+        let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+        let format = head.input_format;
+        let mut picture = Picture::black(PictureSize::new(64, 20));
+        for (place, value) in picture.pixels.iter_mut().enumerate() {
+            *value = (place % 251) as u8;
+        }
+        let prepared = |format| Preparation::new(format).prepare(&picture).unwrap();
+        let converted = prepared(format.as_pixels()).converted(format).unwrap();
+        assert_eq!(converted.tensor(), prepared(format).tensor());
+        assert_eq!(converted.mapping(), prepared(format).mapping());
+        let takes_bytes = InputFormat {
+            element: InputElement::Byte,
+            ..format
+        };
+        let bytes = prepared(takes_bytes);
+        assert_eq!(
+            bytes.converted(takes_bytes).unwrap().tensor(),
+            bytes.tensor()
+        );
     }
 }
