@@ -18,11 +18,12 @@ use std::fmt::Debug;
 const OPSET: u32 = 17;
 
 const PIXELS: &str = "pixels";
-const CONVERTED: &str = "converted";
 
 /// The graph as a session, and where its output is put.
 pub(super) struct PixelConversion {
     session: Session,
+    /// The name of its output.
+    output: String,
     /// Memory of the device that runs the model.
     memory: Allocator,
     layout: TensorLayout,
@@ -47,8 +48,10 @@ impl PixelConversion {
         model.set_graph(graph(format, element)?)?;
         let session = model.into_session(options)?;
         let memory = memory(&session)?;
+        let output = session.outputs().first().map(|output| output.name().to_owned());
         Ok(Self {
             session,
+            output: output.unwrap_or_default(),
             memory,
             layout: format.layout,
             element,
@@ -63,12 +66,12 @@ impl PixelConversion {
             TensorLayout::Nhwc => shape,
         };
         let converted = DynTensor::new(&self.memory, self.element, converted_shape)?;
-        let outputs = OutputSelector::default().preallocate(CONVERTED, converted);
+        let outputs = OutputSelector::default().preallocate(&self.output, converted);
         let options = RunOptions::new()?.with_outputs(outputs);
         let input = TensorRef::from_array_view((shape, pixels))?;
         let mut outputs = self.session.run_with_options(ort::inputs![input], &options)?;
         outputs
-            .remove(CONVERTED)
+            .remove(&self.output)
             .ok_or_else(|| ort::Error::new("the graph in front of the model has no output"))
     }
 }
@@ -89,7 +92,6 @@ fn graph(format: InputFormat, element: TensorElementType) -> ort::Result<Graph> 
     shape[color_axis] = 3;
     let pixels = any_size([-1, -1, -1, 3], TensorElementType::Uint8);
     graph.set_inputs([Outlet::new(PIXELS, pixels)])?;
-    graph.set_outputs([Outlet::new(CONVERTED, any_size(shape, element))])?;
     let mut line = Line {
         graph: &mut graph,
         last: PIXELS.to_owned(),
@@ -119,16 +121,8 @@ fn graph(format: InputFormat, element: TensorElementType) -> ort::Result<Graph> 
             line.cast(TensorElementType::Float16)?;
         }
     }
-    // The output has a name of its own, whichever node is the last.
-    let end = Node::new(
-        "Identity",
-        ONNX_DOMAIN,
-        "end",
-        [&line.last],
-        [CONVERTED],
-        [],
-    )?;
-    graph.add_node(end)?;
+    let output = Outlet::new(line.last, any_size(shape, element));
+    graph.set_outputs([output])?;
     Ok(graph)
 }
 
