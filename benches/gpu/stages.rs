@@ -31,8 +31,10 @@ pub(crate) fn stages_table() -> Table {
         text: "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
                device, the kernels, the output copied back; the share of copying is given below, under *Copies alone*. Decoding and \
                letterbox are always the processor's. *Converted by* says where pixels become the model's numbers: in the letterbox, or \
-               on the GPU within *model*, by a graph in front of it. *Processor waits* says whether it spins, as CUDA does by \
-               itself, or sleeps. The last row of a model is the node's way. *Loading* includes the first runs."
+               on the GPU within *model*, by a graph in front of it. *Started* says whether the processor starts a run layer by \
+               layer or replays what CUDA recorded (`detector.gpu.cuda_graph`; a model that it cannot record runs layer by layer). \
+               *Processor waits* says whether it spins, as CUDA does by itself, or sleeps. The last row of a model is the node's way. *Loading* \
+               includes the first runs."
             .to_owned(),
         columns: &[
             "model",
@@ -40,6 +42,7 @@ pub(crate) fn stages_table() -> Table {
             "input",
             "elements",
             "converted by",
+            "started",
             "processor waits",
             "loading, s",
             "decode",
@@ -115,16 +118,19 @@ pub(crate) async fn batches(arguments: &Arguments, model: &Path) -> anyhow::Resu
     Ok(rows)
 }
 
-/// A row with the time of each stage; on a GPU others, in which the processor spins, or converts the pictures.
+/// A row with the time of each stage; on a GPU others, in which the processor spins, or converts the pictures, or in which
+/// CUDA replays its runs.
 pub(crate) fn stages(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<Row>> {
     let as_the_node = arguments.detector(model);
     let mut spinning = as_the_node.clone();
     spinning.gpu.spin = true;
     let mut converting = as_the_node.clone();
     converting.gpu.processor_converts = true;
+    let mut replaying = as_the_node.clone();
+    replaying.gpu.cuda_graph = true;
     // Spinning first: once told to sleep, the threads of a process sleep.
     let ways = if arguments.is_gpu() {
-        vec![spinning, converting, as_the_node]
+        vec![spinning, converting, replaying, as_the_node]
     } else {
         vec![as_the_node]
     };
@@ -174,6 +180,7 @@ fn stages_of(
         network.input_format().size.to_string(),
         element,
         converted_by(&network).to_owned(),
+        started(&network).to_owned(),
         waits(arguments, config).to_owned(),
         format!("{loading:.2}"),
     ];
@@ -190,6 +197,15 @@ fn converted_by(network: &DetectorNetwork) -> &'static str {
         "processor"
     } else {
         "GPU"
+    }
+}
+
+/// How the processor starts a run.
+fn started(network: &DetectorNetwork) -> &'static str {
+    if network.replays() {
+        "replayed"
+    } else {
+        "layer by layer"
     }
 }
 

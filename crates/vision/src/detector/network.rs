@@ -8,12 +8,13 @@ use super::precision::PrecisionProof;
 use super::reader::{Parts, Reader};
 use super::{Agreement, ModelInput, PreparedPicture, USUAL_PICTURE, class_names};
 use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, Preparation};
-use crate::onnx::{ExecutionProvider, OnnxSession, Signature, StartError};
+use crate::onnx::{ExecutionProvider, NOT_RECORDED, OnnxSession, Signature, StartError};
 use crate::picture::{InputFormat, Picture};
 use crate::worker::{Model, RunError, WorkerInput, batch_sizes};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use std::time::{Duration, Instant};
+use tracing::warn;
 
 /// The detections in one picture, and the duration of each step.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -82,10 +83,20 @@ impl DetectorNetwork {
             doubt: None,
             proof: None,
         };
-        network
+        let sizes = network
             .warm_up(config.batch_size)
             .map_err(|reason| StartError::first_run(&config.model, reason))?;
         network.session.keep_build_time(begun.elapsed());
+        if network.session.records()
+            && let Err(reason) = network.record_runs(&sizes, config.batch_size)
+        {
+            warn!(reason, "{NOT_RECORDED}");
+            let mut unrecorded = config.clone();
+            unrecorded.gpu.cuda_graph = false;
+            // CUDA may be left in the middle of a recording: another session begins anew.
+            drop(network);
+            return Self::open_counting(&unrecorded, among, meter);
+        }
         // Counting begins with the first picture.
         network.reader.meter = meter;
         network.impossible_runs = 0;
@@ -103,26 +114,25 @@ impl DetectorNetwork {
 
     /// Runs the model on black pictures, in all numbers that a run may have, to get over the slow first runs: memory is
     /// laid out, TensorRT builds its engine, and CUDA's library looks for the fastest kernels of each number and size that
-    /// it meets, which takes seconds. The largest comes first, so that memory and engine fit the others.
-    fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
-        self.warm_up_at(self.input_format().size, batch_size)?;
+    /// it meets, which takes seconds. The largest comes first, so that memory and engine fit the others. Returns the sizes
+    /// of the pictures.
+    fn warm_up(&mut self, batch_size: usize) -> Result<Vec<PictureSize>, String> {
+        let largest = self.input_format().size;
+        self.warm_up_at(largest, batch_size)?;
+        let mut sizes = vec![largest];
         if self.input().open.is_some() && self.provider() != ExecutionProvider::Cpu {
-            // The comparison with the largest input tells whether the model runs at it.
-            let _ = self.warm_up_at(self.input().smallest_for(USUAL_PICTURE), batch_size);
+            let smallest = self.input().smallest_for(USUAL_PICTURE);
+            // If the model does not run at it, the comparison with the largest input tells.
+            if self.warm_up_at(smallest, batch_size).is_ok() {
+                sizes.push(smallest);
+            }
         }
-        Ok(())
+        Ok(sizes)
     }
 
     /// [`warm_up`](Self::warm_up) at an input of `size`.
     fn warm_up_at(&mut self, size: PictureSize, batch_size: usize) -> Result<(), String> {
-        // `self.preparation` would keep these buffers, and a batch of them may be large.
-        let preparation = Preparation::new(self.preparation.format());
-        let black = Picture::black(size);
-        let mut pictures = Vec::new();
-        for _ in 0..batch_size.max(1) {
-            let prepared = preparation.prepare_at(&black, size);
-            pictures.push(prepared.map_err(|error| error.to_string())?);
-        }
+        let pictures = self.black_pictures(size, batch_size)?;
         for count in batch_sizes(batch_size).rev() {
             // Black pictures show nothing, however often.
             self.impossible_runs = 0;
@@ -130,6 +140,35 @@ impl DetectorNetwork {
                 1 => error.to_string(),
                 _ => format!("{error} (with detector.batch_size = {batch_size})"),
             })?;
+        }
+        Ok(())
+    }
+
+    fn black_pictures(
+        &self,
+        size: PictureSize,
+        count: usize,
+    ) -> Result<Vec<PreparedPicture>, String> {
+        // `self.preparation` would keep these buffers, and a batch of them may be large.
+        let preparation = Preparation::new(self.preparation.format());
+        let black = Picture::black(size);
+        let mut pictures = Vec::new();
+        for _ in 0..count.max(1) {
+            let prepared = preparation.prepare_at(&black, size);
+            pictures.push(prepared.map_err(|error| error.to_string())?);
+        }
+        Ok(pictures)
+    }
+
+    /// Has CUDA record the runs that [`warm_up`](Self::warm_up) made.
+    fn record_runs(&mut self, sizes: &[PictureSize], batch_size: usize) -> Result<(), String> {
+        let format = self.preparation.format();
+        for &size in sizes {
+            let pictures = self.black_pictures(size, batch_size)?;
+            let inputs: Vec<_> = pictures.iter().map(PreparedPicture::tensor).collect();
+            for count in batch_sizes(batch_size).rev() {
+                self.session.record(format.shape_of(size), size, &inputs[..count])?;
+            }
         }
         Ok(())
     }
@@ -153,6 +192,11 @@ impl DetectorNetwork {
             .prepare_at(&Picture::black(size), size)
             .map_err(|error| RunError::BadPicture(error.to_string()))?;
         Ok(self.detect(&black)?.model)
+    }
+
+    /// True if CUDA replays the runs of the warm-up's shapes instead of starting them layer by layer.
+    pub fn replays(&self) -> bool {
+        self.session.records()
     }
 
     /// The input of the model, and the sizes that it may have.
@@ -390,5 +434,54 @@ impl DetectorNetwork {
         });
         let agreement = boxes.map(|boxes| Agreement::of(largest, &boxes, self.confidence));
         picture.inputs().add(size, agreement);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ort::memory::Allocator;
+    use std::path::Path;
+
+    fn open(model: &str, batch_size: usize) -> DetectorNetwork {
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/models");
+        let config = DetectorConfig {
+            model: models.join(model),
+            // There is none here, but pictures are prepared as for one.
+            providers: vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu],
+            batch_size,
+            report_classes: Some(Vec::new()),
+            ..DetectorConfig::default()
+        };
+        DetectorNetwork::open(&config).unwrap()
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn runs_recorded_for_each_number_of_pictures_find_the_same_boxes() {
+        let mut plain = open("yolo_open.onnx", 3);
+        let mut recorded = open("yolo_open.onnx", 3);
+        recorded.session.record_in(Allocator::default());
+        let sizes = recorded.warm_up(3).unwrap();
+        recorded.record_runs(&sizes, 3).unwrap();
+        let size = plain.input_format().size;
+        let pictures: Vec<_> = [[200, 0, 0], [0, 200, 0], [160, 160, 0]]
+            .into_iter()
+            .map(|rgb| {
+                let mut picture = Picture::black(size);
+                picture.pixels = rgb.repeat((size.width * size.height) as usize);
+                plain.preparation().prepare(&picture).unwrap()
+            })
+            .collect();
+        let detections = |network: &mut DetectorNetwork, pictures: &[PreparedPicture]| {
+            let found = network.run(pictures).unwrap();
+            found.into_iter().map(|found| found.detections).collect::<Vec<_>>()
+        };
+        for count in 1..=pictures.len() {
+            let some = &pictures[..count];
+            let found = detections(&mut recorded, some);
+            assert!(found.iter().all(|boxes| !boxes.is_empty()));
+            assert_eq!(found, detections(&mut plain, some));
+        }
     }
 }

@@ -9,7 +9,7 @@ use ort::operator::Attribute;
 use ort::session::builder::SessionBuilder;
 use ort::session::{OutputSelector, RunOptions, Session};
 use ort::value::{
-    DynTensor, DynValue, Outlet, PrimitiveTensorElementType, Shape, SymbolicDimensions, Tensor,
+    DynTensor, Outlet, PrimitiveTensorElementType, Shape, SymbolicDimensions, Tensor,
     TensorElementType, TensorRef, ValueType,
 };
 use std::fmt::Debug;
@@ -59,7 +59,7 @@ impl PixelConversion {
     }
 
     /// Converts pictures of `shape`, `[batch, rows, columns, 3]`, one after another. The result stays where the model runs.
-    pub(super) fn run(&mut self, shape: [i64; 4], pixels: &[u8]) -> ort::Result<DynValue> {
+    pub(super) fn run(&mut self, shape: [i64; 4], pixels: &[u8]) -> ort::Result<DynTensor> {
         let [batch, rows, columns, colours] = shape;
         let converted_shape = match self.layout {
             TensorLayout::Nchw => [batch, colours, rows, columns],
@@ -72,7 +72,8 @@ impl PixelConversion {
         let mut outputs = self.session.run_with_options(ort::inputs![input], &options)?;
         outputs
             .remove(&self.output)
-            .ok_or_else(|| ort::Error::new("the graph in front of the model has no output"))
+            .ok_or_else(|| ort::Error::new("the graph in front of the model has no output"))?
+            .downcast()
     }
 }
 
@@ -229,7 +230,7 @@ mod tests {
         pictures().map(fill).into()
     }
 
-    fn converted(format: InputFormat, element: &ElementType) -> DynValue {
+    fn converted(format: InputFormat, element: &ElementType) -> DynTensor {
         let environment = onnxruntime::environment(None).unwrap();
         let options = Session::builder(&environment).unwrap();
         let memory = |_: &Session| Ok(Allocator::default());

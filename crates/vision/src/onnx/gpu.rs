@@ -21,6 +21,9 @@ pub struct GpuConfig {
     /// millisecond sooner, and a core is busy as long as the model runs. Otherwise it sleeps, in the whole program, from
     /// the first session that does not spin.
     pub spin: bool,
+    /// True if CUDA records what a run does, once for each input it is warmed up with, and replays it: the processor starts
+    /// a recorded run in one call, and another one layer by layer. TensorRT, which merges layers, records nothing.
+    pub cuda_graph: bool,
     /// True if TensorRT may compute in half precision, normalisation of layers excepted. It does so for a model whose own
     /// weights are in half precision, too.
     pub fp16: bool,

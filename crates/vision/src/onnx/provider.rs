@@ -39,12 +39,17 @@ pub(super) fn registrations(
     provider: ExecutionProvider,
     settings: &SessionSettings,
 ) -> Vec<ExecutionProviderDispatch> {
-    let cuda = || cuda(&settings.gpu).build().error_on_failure();
-    let tensorrt = || tensorrt(settings).build().error_on_failure();
+    let cuda = || cuda(&settings.gpu);
     match provider {
         ExecutionProvider::Cpu => Vec::new(),
-        ExecutionProvider::Cuda => vec![cuda()],
-        ExecutionProvider::TensorRt => vec![tensorrt(), cuda()],
+        ExecutionProvider::Cuda => {
+            let cuda = cuda().with_cuda_graph(settings.gpu.cuda_graph);
+            vec![cuda.build().error_on_failure()]
+        }
+        ExecutionProvider::TensorRt => vec![
+            tensorrt(settings).build().error_on_failure(),
+            cuda().build().error_on_failure(),
+        ],
     }
 }
 

@@ -1,5 +1,6 @@
 //! One ONNX Runtime session: loads a model file and runs it on tensors.
 
+use super::recorded::{self, RecordedRuns, TensorShape};
 use super::{
     ElementType, EngineCache, ExecutionProvider, GpuConfig, Metadata, Signature, StartError,
 };
@@ -11,9 +12,11 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
+use ort::memory::Allocator;
 use ort::session::builder::SessionBuilder;
-use ort::session::{Session, SessionInputValue};
+use ort::session::{RunOptions, Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueType};
+use ort::value::{TensorValueTypeMarker, Value};
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -51,6 +54,15 @@ pub struct SessionSettings {
     pub(crate) engines: Option<EngineCache>,
 }
 
+impl SessionSettings {
+    /// These, for a session whose runs are not recorded.
+    fn without_graph(&self) -> Self {
+        let mut settings = self.clone();
+        settings.gpu.cuda_graph = false;
+        settings
+    }
+}
+
 /// An output tensor as borrowed float32 values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TensorView<'a> {
@@ -68,8 +80,16 @@ pub struct OnnxSession {
     engines: Option<EngineCache>,
     /// What turns pixels into the input.
     conversion: Option<PixelConversion>,
+    /// Where runs are recorded, if CUDA is to record them.
+    recorded: Option<RecordedRuns>,
+    /// The options of a run that is not.
+    unrecorded: RunOptions,
     buffers: RunBuffers,
 }
+
+/// What follows if the model cannot be recorded.
+pub(crate) const NOT_RECORDED: &str =
+    "CUDA cannot record the runs of this model as graphs; it runs without";
 
 /// The pictures of a batch, one after another, in the model's element type; reused from run to run.
 #[derive(Default)]
@@ -118,8 +138,24 @@ impl OnnxSession {
         settings: &SessionSettings,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
-        let session = build(environment, settings, provider)
-            .map_err(|error| refusal(environment, settings, provider, &in_words(&error)))?;
+        if provider != ExecutionProvider::Cuda || !settings.gpu.cuda_graph {
+            return Self::open_as(environment, settings, provider);
+        }
+        Self::open_as(environment, settings, provider).or_else(|error| {
+            let opened = Self::open_as(environment, &settings.without_graph(), provider)?;
+            warn!(%error, "{NOT_RECORDED}");
+            Ok(opened)
+        })
+    }
+
+    fn open_as(
+        environment: &Environment,
+        settings: &SessionSettings,
+        provider: ExecutionProvider,
+    ) -> Result<Self, StartError> {
+        let failed =
+            |error: ort::Error| refusal(environment, settings, provider, &in_words(&error));
+        let session = build(environment, settings, provider).map_err(failed)?;
         if provider != ExecutionProvider::Cpu && !settings.gpu.spin {
             let asked = waiting::let_threads_sleep(settings.gpu.device);
             if let Err(reason) = asked {
@@ -134,14 +170,26 @@ impl OnnxSession {
             outputs: session.outputs().iter().map(spec).collect(),
             metadata: metadata(&session),
         };
-        Ok(Self {
+        let mut opened = Self {
             session,
             signature,
             provider,
             engines: settings.engines.clone(),
             conversion: None,
+            recorded: None,
+            unrecorded: recorded::unrecorded().map_err(failed)?,
             buffers: RunBuffers::default(),
-        })
+        };
+        if provider == ExecutionProvider::Cuda && settings.gpu.cuda_graph {
+            let memory = provider::memory(provider, &settings.gpu, &opened.session);
+            opened.record_in(memory.map_err(failed)?);
+        }
+        Ok(opened)
+    }
+
+    /// Has runs recorded, with tensors in `memory`, where the model runs.
+    pub(crate) fn record_in(&mut self, memory: Allocator) {
+        self.recorded = Some(RecordedRuns::new(memory));
     }
 
     /// Keeps the time from the start of the build to the end of the first run, if TensorRT has built an engine in it.
@@ -176,11 +224,12 @@ impl OnnxSession {
     ) -> Result<(), StartError> {
         let element = self.signature.picture().map_or(&ElementType::Float32, |it| &it.element);
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
+        let settings = settings.without_graph();
         let open = |provider| {
             PixelConversion::open(
                 format,
                 element,
-                &builder(&environment, settings, provider)?,
+                &builder(&environment, &settings, provider)?,
                 |session| provider::memory(provider, &settings.gpu, session),
             )
         };
@@ -223,28 +272,43 @@ impl OnnxSession {
         pictures: &[&InputTensor],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, String> {
-        let failed = |error: ort::Error| in_words(&error);
+        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        self.run_on(shape, size, pictures, read).map_err(|error| in_words(&error))
+    }
+
+    fn run_on<R>(
+        &mut self,
+        shape: [i64; 4],
+        size: PictureSize,
+        pictures: &[&InputTensor],
+        read: impl FnOnce(&[TensorView<'_>]) -> R,
+    ) -> ort::Result<R> {
         let Self {
             session,
             signature,
             conversion,
+            recorded,
+            unrecorded,
             buffers,
             ..
         } = self;
-        let batch = pictures.len();
-        shape[0] = i64::try_from(batch).unwrap_or(i64::MAX);
+        if let Some(conversion) = conversion
+            && let Some(run) = recorded.as_mut().and_then(|recorded| recorded.of(shape))
+        {
+            let converted = conversion.run(shape, buffers.bytes(pictures))?;
+            run.replay(session, &converted)?;
+            return Ok(read_outputs(run.outputs().map(elements), read));
+        }
         let element = signature.picture().map(|input| &input.element);
         let input = match conversion {
-            Some(conversion) => {
-                conversion.run(shape, buffers.bytes(pictures)).map(SessionInputValue::from)
-            }
-            None => buffers.input(element, shape, pictures),
+            Some(conversion) => conversion.run(shape, buffers.bytes(pictures))?.into(),
+            None => buffers.input(element, shape, pictures)?,
         };
-        let mut picture = Some(input.map_err(failed)?);
+        let mut picture = Some(input);
         let mut inputs: Vec<SessionInputValue<'_>> = Vec::with_capacity(signature.inputs.len());
         for input in &signature.inputs {
-            match beside(input, size, batch) {
-                Some(numbers) => inputs.push(numbers.map_err(failed)?),
+            match beside(input, size, pictures.len()) {
+                Some(numbers) => inputs.push(numbers?.into()),
                 None => {
                     // The signature has been checked: there is one picture.
                     if let Some(picture) = picture.take() {
@@ -253,12 +317,90 @@ impl OnnxSession {
                 }
             }
         }
-        let outputs = session.run(inputs.as_slice()).map_err(failed)?;
-        let read_out: Vec<_> = (0..outputs.len()).map(|index| elements(&outputs[index])).collect();
-        let views: Vec<_> =
-            read_out.iter().map(|(shape, values)| TensorView { shape, values }).collect();
-        Ok(read(&views))
+        let outputs = session.run_with_options(inputs.as_slice(), unrecorded)?;
+        let outputs = (0..outputs.len()).map(|index| elements(&outputs[index]));
+        Ok(read_outputs(outputs, read))
     }
+
+    /// True if runs are to be recorded.
+    pub(crate) fn records(&self) -> bool {
+        self.recorded.is_some()
+    }
+
+    /// Records the run on `pictures`, pixels as of [`run`](Self::run), for all later ones of the same number and shape.
+    ///
+    /// # Errors
+    /// If the model cannot be recorded: its outputs depend on what is in a picture, or not every part of it runs on the GPU.
+    pub(crate) fn record(
+        &mut self,
+        mut shape: [i64; 4],
+        size: PictureSize,
+        pictures: &[&InputTensor],
+    ) -> Result<(), String> {
+        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        self.record_on(shape, size, pictures).map_err(|error| in_words(&error))
+    }
+
+    fn record_on(
+        &mut self,
+        shape: [i64; 4],
+        size: PictureSize,
+        pictures: &[&InputTensor],
+    ) -> ort::Result<()> {
+        let mut output_shapes: Vec<Vec<i64>> = Vec::new();
+        self.run_on(shape, size, pictures, |outputs| {
+            output_shapes.extend(outputs.iter().map(|output| output.shape.to_vec()));
+        })?;
+        let (Some(conversion), Some(recorded)) = (&mut self.conversion, &mut self.recorded) else {
+            return Err(ort::Error::new("the model takes pixels itself"));
+        };
+        let converted = conversion.run(shape, self.buffers.bytes(pictures))?;
+        let mut numbers = Vec::new();
+        let mut picture = None;
+        for input in &self.signature.inputs {
+            match beside(input, size, pictures.len()) {
+                Some(number) => numbers.push((input.name.clone(), number?)),
+                None => {
+                    picture = Some(TensorShape {
+                        name: input.name.clone(),
+                        element: *converted.data_type(),
+                        shape: converted.shape().to_vec(),
+                    });
+                }
+            }
+        }
+        let picture = picture.ok_or_else(|| ort::Error::new("the model takes no picture"))?;
+        let mut outputs = Vec::new();
+        for (output, shape) in self.session.outputs().iter().zip(output_shapes) {
+            if shape.contains(&0) {
+                return Err(ort::Error::new("what it returns depends on the picture"));
+            }
+            let Some(element) = output.dtype().tensor_type() else {
+                return Err(ort::Error::new("an output is no tensor"));
+            };
+            outputs.push(TensorShape {
+                name: output.name().to_owned(),
+                element,
+                shape,
+            });
+        }
+        recorded.add(&self.session, shape, &picture, &numbers, outputs)?;
+        if let Some(run) = recorded.of(shape) {
+            run.replay(&mut self.session, &converted)?;
+        }
+        Ok(())
+    }
+}
+
+/// Shows `outputs` to `read`.
+fn read_outputs<'a, R>(
+    outputs: impl Iterator<Item = (&'a [i64], Cow<'a, [f32]>)>,
+    read: impl FnOnce(&[TensorView<'_>]) -> R,
+) -> R {
+    let read_out: Vec<_> = outputs.collect();
+    let views: Vec<_> =
+        read_out.iter().map(|(shape, values)| TensorView { shape, values }).collect();
+    read(&views)
 }
 
 impl RunBuffers {
@@ -326,19 +468,15 @@ impl RunBuffers {
 }
 
 /// The numbers of an input beside the picture, the same for each of `batch` pictures; `None` if it is the picture.
-fn beside(
-    input: &TensorSpec,
-    size: PictureSize,
-    batch: usize,
-) -> Option<ort::Result<SessionInputValue<'static>>> {
+fn beside(input: &TensorSpec, size: PictureSize, batch: usize) -> Option<ort::Result<DynValue>> {
     let numbers = input.beside_picture(size)?;
     let shape = [batch, numbers.len()];
     let all = numbers.repeat(batch);
     Some(if input.element == ElementType::Int64 {
         let whole: Vec<i64> = all.into_iter().map(|number| number as i64).collect();
-        Tensor::from_array((shape, whole)).map(SessionInputValue::from)
+        Tensor::from_array((shape, whole)).map(Tensor::into_dyn)
     } else {
-        Tensor::from_array((shape, all)).map(SessionInputValue::from)
+        Tensor::from_array((shape, all)).map(Tensor::into_dyn)
     })
 }
 
@@ -349,7 +487,7 @@ fn in_words(error: &ort::Error) -> String {
 
 /// The shape and the elements of an output; float16 and whole numbers are widened. Outputs of other elements, which no
 /// head reads, are empty.
-fn elements(output: &DynValue) -> (&[i64], Cow<'_, [f32]>) {
+fn elements<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> (&[i64], Cow<'_, [f32]>) {
     if let Ok((shape, values)) = output.try_extract_tensor::<f32>() {
         return (shape, Cow::Borrowed(values));
     }
@@ -459,5 +597,120 @@ fn spec(outlet: &Outlet) -> TensorSpec {
         name: outlet.name().to_owned(),
         element,
         shape,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::{ColorOrder, Fit, ValueRange};
+    use std::path::Path;
+
+    const SIZE: PictureSize = PictureSize::new(64, 32);
+
+    struct Opened {
+        session: OnnxSession,
+        /// That of one picture.
+        shape: [i64; 4],
+    }
+
+    impl Opened {
+        /// A session on the processor that takes pixels, as one on a GPU does.
+        fn new(model: &str) -> Self {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/models");
+            let settings = SessionSettings {
+                model: folder.join(model),
+                providers: vec![ExecutionProvider::Cpu],
+                gpu: GpuConfig::default(),
+                threads: 1,
+                onnxruntime: None,
+                shapes: None,
+                engines: None,
+            };
+            let mut session = OnnxSession::open(&settings).unwrap();
+            let input = session.signature().picture_input(Some(SIZE)).unwrap();
+            let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::ToOne);
+            session.take_pixels(&settings, format).unwrap();
+            let shape = format.as_pixels().shape_of(SIZE);
+            Self { session, shape }
+        }
+
+        /// One whose runs of these numbers of black pictures have been recorded.
+        fn recorded(model: &str, counts: &[usize]) -> Self {
+            let mut opened = Self::new(model);
+            opened.session.record_in(Allocator::default());
+            let black = one_colour([0, 0, 0]);
+            for &count in counts {
+                let pictures = vec![&black; count];
+                opened.session.record(opened.shape, SIZE, &pictures).unwrap();
+            }
+            opened
+        }
+
+        fn run(&mut self, pictures: &[InputTensor]) -> Result<Vec<Output>, String> {
+            let pictures: Vec<_> = pictures.iter().collect();
+            self.session.run(self.shape, SIZE, &pictures, |outputs| {
+                let copied = outputs.iter().map(|output| Output {
+                    shape: output.shape.to_vec(),
+                    values: output.values.to_vec(),
+                });
+                copied.collect()
+            })
+        }
+    }
+
+    #[derive(Debug, PartialEq)]
+    struct Output {
+        shape: Vec<i64>,
+        values: Vec<f32>,
+    }
+
+    fn one_colour(rgb: [u8; 3]) -> InputTensor {
+        InputTensor::Bytes(rgb.repeat((SIZE.width * SIZE.height) as usize))
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn a_recorded_run_returns_what_another_returns() {
+        for (model, counts) in [
+            ("yolo_open.onnx", &[1, 2][..]),
+            ("yolo_float16.onnx", &[1]),
+            ("colours.onnx", &[1]),
+        ] {
+            let mut plain = Opened::new(model);
+            let mut recorded = Opened::recorded(model, counts);
+            for rgb in [[200, 10, 0], [0, 90, 255], [30, 30, 30]] {
+                for &count in counts {
+                    let mut pictures = vec![one_colour(rgb); count];
+                    pictures[0] = one_colour([7, 100, 60]);
+                    let found = recorded.run(&pictures).unwrap();
+                    assert_eq!(found, plain.run(&pictures).unwrap(), "{model} {rgb:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn pictures_of_a_number_that_was_not_recorded_are_run_all_the_same() {
+        let mut plain = Opened::new("yolo_open.onnx");
+        let mut recorded = Opened::recorded("yolo_open.onnx", &[2]);
+        for count in [1, 3] {
+            let pictures = vec![one_colour([200, 10, 0]); count];
+            let found = recorded.run(&pictures).unwrap();
+            assert_eq!(found[0].shape[0], count as i64);
+            assert_eq!(found, plain.run(&pictures).unwrap());
+        }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn outputs_that_depend_on_the_picture_are_an_error_and_not_those_of_another_picture() {
+        let mut recorded = Opened::recorded("changing.onnx", &[1]);
+        recorded.run(&[one_colour([0, 200, 0])]).unwrap();
+        let red = one_colour([200, 0, 0]);
+        let error = recorded.run(std::slice::from_ref(&red)).unwrap_err();
+        assert!(error.contains("shape"), "{error}");
+        Opened::new("changing.onnx").run(&[red]).unwrap();
     }
 }
