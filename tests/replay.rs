@@ -136,6 +136,28 @@ async fn a_missing_subscriber_or_node_is_a_clear_error() {
     assert_contains(&error, &[&endpoint, "is the node running"]);
 }
 
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_are_sent_after_the_node_has_left_are_counted() {
+    let (session, endpoint) = listening_peer().await;
+    let node = session.declare_subscriber("albireo/node/front/frame").await.unwrap();
+    let folder = pictures(1);
+    // Three seconds, of which the network needs a moment to tell the sender.
+    let paced = "--wait-for-subscriber --rate 200 --loop --frames 600";
+    let more = format!("--connect {endpoint} {paced}");
+    let replay = replay::run(arguments(folder.path(), &more), CancellationToken::new());
+    let leaving = async {
+        for _ in 0..10 {
+            node.recv_async().await.unwrap();
+        }
+        node.undeclare().await.unwrap();
+    };
+    let (sent, ()) = tokio::join!(replay, leaving);
+    let sent = sent.unwrap();
+    assert_eq!(sent.frames, 600);
+    assert!((1..=590).contains(&sent.lost), "{sent:?}");
+}
+
 /// Fake ffprobe and ffmpeg; `answer` is the script of ffmpeg.
 fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
     let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;

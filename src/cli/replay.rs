@@ -12,8 +12,10 @@ use super::values::counted;
 use albireo_eval::footage::{SourceName, VideoEncoding};
 use anyhow::bail;
 use clap::Args;
-use indicatif::HumanBytes;
+use indicatif::{HumanBytes, ProgressBar};
+use std::convert::Infallible;
 use std::time::{Duration, Instant};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
@@ -87,15 +89,23 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         (None, _) => None,
     };
     let bar = progress::bar(total, "frames  {msg}");
+    let mut lost = 0;
     let progress = |sent: &Sent| {
+        if !arguments.every && *receivers.borrow() != Some(true) {
+            lost += 1;
+        }
         bar.set_position(sent.frames);
         bar.set_message(HumanBytes(sent.bytes).to_string());
     };
     let send = |frame| sender.send(frame);
-    let sent = publish(source, send, options, progress, &shutdown).await;
+    let telling = tell_of_receivers(receivers.clone(), &key, arguments.every, &bar);
+    let sent = tokio::select! {
+        sent = publish(source, send, options, progress, &shutdown) => sent,
+        never = telling => match never {},
+    };
     bar.finish_and_clear();
     close(session).await?;
-    let sent = sent?;
+    let sent = Sent { lost, ..sent? };
     println!("{}", summary(&sent, &key));
     if sent.frames > 0 && receivers.borrow().is_none() {
         bail!("no node subscribed to `{key}`: {NOBODY}");
@@ -156,6 +166,34 @@ async fn open(
     Ok((session, sender))
 }
 
+/// Says when the last node that took frames stops to, and when one takes them again.
+async fn tell_of_receivers(
+    mut receivers: watch::Receiver<Option<bool>>,
+    key: &str,
+    every: bool,
+    bar: &ProgressBar,
+) -> Infallible {
+    let meanwhile = if every {
+        format!("the next frame waits, {}", progress::at_most(TURN))
+    } else {
+        "frames are lost".to_owned()
+    };
+    let mut had_left = false;
+    while receivers.changed().await.is_ok() {
+        let said = match *receivers.borrow_and_update() {
+            Some(false) => {
+                had_left = true;
+                format!("albireo: no node subscribes to `{key}` any more, so {meanwhile}")
+            }
+            Some(true) if had_left => format!("albireo: a node subscribes to `{key}` again"),
+            _ => continue,
+        };
+        bar.suspend(|| eprintln!("{}", terminal::error(&said)));
+    }
+    // The session has been closed, which ends the sending, too.
+    std::future::pending().await
+}
+
 /// Formats the totals as one line.
 fn summary(sent: &Sent, key: &str) -> String {
     let seconds = sent.elapsed.as_secs_f64();
@@ -173,6 +211,9 @@ fn summary(sent: &Sent, key: &str) -> String {
     }
     if sent.behind > 0 {
         line += &format!("; frames that went out late: {}", sent.behind);
+    }
+    if sent.lost > 0 {
+        line += &format!("; frames that no node subscribed to: {}", sent.lost);
     }
     if sent.left_out > 0 {
         line += &format!("; files that were left out: {}", sent.left_out);
@@ -224,13 +265,15 @@ mod tests {
             bytes: 3 << 20,
             clips: 2,
             behind: 1,
+            lost: 4,
             left_out: 2,
             refused: 1,
             first_refusal: Some("cut off".to_owned()),
             elapsed: Duration::from_secs(10),
         };
         let expected = "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; \
-                        frames that went out late: 1; files that were left out: 2; frames that the node refused: 1 (first: cut off)";
+                        frames that went out late: 1; frames that no node subscribed to: 4; \
+                        files that were left out: 2; frames that the node refused: 1 (first: cut off)";
         assert_eq!(summary(&sent, "a/b"), expected);
     }
 }

@@ -78,6 +78,8 @@ pub struct Sent {
     pub clips: u64,
     /// The number of frames sent more than one period late: the source or the network was too slow.
     pub behind: u64,
+    /// The number of frames that were sent while no node subscribed to them; a sender that waits for the node loses none.
+    pub lost: u64,
     /// The number of frames that the node did not process; known only to a sender that waits for the node.
     pub refused: u64,
     /// The reason for the first of them.
