@@ -241,3 +241,64 @@ fn a_clip_that_is_not_what_its_truth_is_for_is_found_before_the_first_run() {
     assert_contains(&refused, &["b1c00002-00000002", "6 frames, the clip has 5"]);
     assert!(!refused.contains("processing"), "{refused}");
 }
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_clip_of_hours_is_played_whole_or_refused_before_the_first_run() {
+    let folder = tempfile::tempdir().unwrap();
+    split(folder.path());
+    let place = folder.path().display();
+    let slow = format!(
+        "board {place}/images/track/val/b1c00000-00000000 --ground-truth {place}/labels/val --truth-format bdd100k \
+         --rate 0.001"
+    );
+    let refused = eval(&format!("{slow} --paced --out {place}/paced")).fails();
+    let why = "b1c00000-00000000: 6 frames at 0.001 frames/s take 6000 s";
+    assert_contains(&refused, &[why, "without --paced", "--rate"]);
+    assert!(!folder.path().join("paced").exists());
+
+    let unpaced = format!("{slow} --machine board --power-mode 15W --out {place}/out");
+    eval(&unpaced).succeeds();
+    let file = folder.path().join("out/yolox_nano.as-exported.15W.board.jsonl");
+    assert_contains(&fs::read_to_string(file).unwrap(), &["6 pictures of"]);
+    assert_contains(&eval(&unpaced).err, &["2 of 2 runs done"]);
+}
+
+/// Writes a video that begins between two key frames: its file counts the frames from the first of them, and fewer are played.
+/// Returns their number.
+fn cut_video(folder: &Path) -> usize {
+    let whole = folder.join("whole.mp4");
+    let cut = folder.join("cut.mp4");
+    let ffmpeg = |arguments: &[&str]| {
+        let status = Command::new("ffmpeg").args(["-v", "error"]).args(arguments).status();
+        assert!(status.unwrap().success(), "{arguments:?}");
+    };
+    let scene = "testsrc=size=320x240:rate=25:duration=2";
+    let [from, to] = [&whole, &cut].map(|path| path.to_str().unwrap());
+    ffmpeg(&["-f", "lavfi", "-i", scene, "-g", "25", from]);
+    ffmpeg(&["-ss", "1.3", "-i", from, "-c", "copy", to]);
+    let mut video = SourceName::Video(cut.clone()).open(None, VideoEncoding::Jpeg).unwrap();
+    let mut played = 0;
+    while video.next().unwrap().is_some() {
+        played += 1;
+    }
+    assert!(video.frames() > Some(played), "the file counts no more");
+    played as usize
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime and ffmpeg"]
+fn a_video_is_held_against_the_labels_of_the_frames_that_are_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let labels: Vec<Value> = (0..cut_video(folder.path()))
+        .map(|frame| json!({"name": format!("{frame}.jpg"), "videoName": "cut", "frameIndex": frame, "labels": []}))
+        .collect();
+    let truth = folder.path().join("cut.json");
+    fs::write(&truth, json!(labels).to_string()).unwrap();
+    let place = folder.path().display();
+    let words = format!(
+        "board {place}/cut.mp4 --ground-truth {place}/cut.json --truth-format bdd100k --out {place}/out"
+    );
+    eval(&words).succeeds();
+    assert_contains(&eval(&words).err, &["2 of 2 runs done"]);
+}

@@ -1,7 +1,7 @@
 //! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
-use super::play::clip::{self, Loaded};
-use super::play::{Played, Player, choose_meter, node_configuration, with_truth};
+use super::play::clip::{self, Extent, Loaded};
+use super::play::{Played, Player, check_pace, choose_meter, node_configuration, with_truth};
 use super::progress;
 use super::terminal;
 use super::values::{above_zero, counted, not_negative, parse_rate};
@@ -125,8 +125,9 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         .clip
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
-    let loading = tokio::task::spawn_blocking(move || clip::load(source, arguments.seconds));
-    let loaded = loading.await.context("reading the clip")??;
+    let extent = Extent::Seconds(arguments.seconds);
+    let loading = tokio::task::spawn_blocking(move || clip::load(source, extent));
+    let loaded = loading.await.context("reading the clip")?.context("--clip")?;
     if let Some(warning) = loaded.warning() {
         eprintln!("{warning}");
     }
@@ -137,7 +138,13 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     } = loaded;
     let frames = clip.frames().unwrap_or_default();
     let truth = own_truth(&arguments.clip, size, frames)?;
-    let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
+    let rate = if arguments.unpaced {
+        None
+    } else {
+        let rate = clip.rate() * arguments.speed;
+        check_pace(frames, rate, "see --seconds, --speed and --unpaced")?;
+        Some(rate)
+    };
     let scheduled = schedule(variants.len(), arguments.repeat as usize);
     let pace = match rate {
         Some(rate) => {
@@ -157,6 +164,7 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let player = Player {
         config,
         clip,
+        extent,
         size,
         rate,
         warm_up_s: arguments.warm_up,
@@ -263,6 +271,7 @@ fn own_truth(
     let mut objects = Vec::new();
     let mut ignored = Vec::new();
     let mut clips = 0;
+    let is_alone = false;
     for part in source.open_clips(None, VideoEncoding::default())? {
         if objects.len() >= frames {
             break;
@@ -273,7 +282,7 @@ fn own_truth(
             part.name(),
             picture,
             pictures,
-            false,
+            is_alone,
             &mut LoadReport::default(),
         )?;
         clip.ignored.resize(clip.frames, Vec::new());
@@ -335,13 +344,14 @@ fn judge(
     let mut runs = Vec::new();
     for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
         let policy = &variants[scheduled.variant].config;
-        let by_truth = truth.and_then(|truth| {
+        let mut by_truth = None;
+        if let Some(truth) = truth {
             let found =
                 played.judged_boxes(first, truth.size.frames, &Evaluated::Road, &mut left_out);
             let objects = truth.objects.as_slice();
             let ignored = truth.ignored.as_slice();
-            agreement_with_truth(&found, Truth { objects, ignored })
-        });
+            by_truth = agreement_with_truth(&found, Truth { objects, ignored });
+        }
         runs.push(Run {
             advice: played.advice(policy.build()?.threshold_spec()),
             round: scheduled.round,

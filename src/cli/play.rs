@@ -2,8 +2,10 @@
 
 pub(super) mod clip;
 
+use self::clip::Extent;
 use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, Sent, UNPACED, publish};
+use super::values::counted;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::ThresholdSpec;
 use albireo_eval::boxes::ScoredBox;
@@ -50,6 +52,8 @@ pub(super) struct Player {
     pub config: NodeConfig,
     /// The clip to play.
     pub clip: Pictures,
+    /// How much of the clip that is.
+    pub extent: Extent,
     /// Size of its pictures.
     pub size: PictureSize,
     /// Frames per second; `None` to send each frame once the node has accepted the previous one.
@@ -233,7 +237,8 @@ impl Player {
         let report = measured_clip.context("the node reported no clip")?;
         ensure!(
             report.part == 0,
-            "the clip took more than {LONGEST_REPORT_S} s, which one report cannot cover: play less of it"
+            "the clip took more than {LONGEST_REPORT_S} s, which one report cannot cover: {}",
+            self.extent.way_out()
         );
         Ok(Played {
             report: ClipReport::clone(&report),
@@ -420,6 +425,20 @@ pub(super) fn node_configuration(
     Ok(config)
 }
 
+/// Refuses a paced clip of `frames` frames at `rate` frames per second if one report cannot cover it.
+///
+/// # Errors
+/// How long it takes, and the `way_out`.
+pub(super) fn check_pace(frames: u64, rate: f64, way_out: &str) -> anyhow::Result<()> {
+    let seconds = frames as f64 / rate;
+    ensure!(
+        seconds <= LONGEST_REPORT_S,
+        "{} at {rate} frames/s take {seconds:.0} s, and one report covers {LONGEST_REPORT_S} s at most: {way_out}",
+        counted(frames, "frame", "frames")
+    );
+    Ok(())
+}
+
 /// A clip without detections, with its whole ground truth; `is_alone` and `report` as for [`GroundTruth::attach_to`].
 ///
 /// # Errors
@@ -533,6 +552,18 @@ mod tests {
         assert_eq!(played.frame_ms(Some(30.0)), 30.5);
     }
 
+    /// The configuration of a run under `policy`, written as on the command line.
+    fn configuration_of(base: &NodeConfig, policy: &str) -> NodeConfig {
+        let settings = Base {
+            config: &base.policy,
+            empty_road: EmptyRoad::default(),
+        };
+        // A comparison has two policies or more.
+        let asked = [policy, "fixed-skip"].map(str::to_owned);
+        let policies = variants(&asked, &[], settings).unwrap();
+        configuration(base, &policies[0], Delivery::Newest).unwrap()
+    }
+
     #[test]
     fn a_comparison_reports_to_no_hub_and_holds_no_target() {
         let mut base = NodeConfig::default();
@@ -547,15 +578,9 @@ mod tests {
         base.record.folder = Some("/var/lib/albireo/recordings".into());
         let NodeConfig { mqtt, record, .. } = NodeConfig::default();
         for policy in ["albireo", "vanilla"] {
-            let asked = [policy.to_owned(), "albireo:1e-3,pause_s=0.2".to_owned()];
-            let settings = Base {
-                config: &base.policy,
-                empty_road: EmptyRoad::default(),
-            };
-            let policies = variants(&asked, &[], settings).unwrap();
-            let config = configuration(&base, &policies[0], Delivery::Newest).unwrap();
-            assert_eq!(config.screen.pause_s, 0.0);
-            assert!(!config.uplink.is_set() && config.zenoh.connect.is_empty());
+            let config = configuration_of(&base, policy);
+            assert!(!config.uplink.is_set());
+            assert_eq!(config.zenoh.connect, [""; 0]);
             assert_eq!(config.target.hold, None);
             assert_eq!(config.node.state_dir, None);
             assert_eq!(config.node.answer, AnswerTime::WhenKnown);
@@ -564,8 +589,14 @@ mod tests {
             assert_eq!(config.clip.longest_s, 3600.0);
             assert_eq!(config.mqtt, mqtt);
             assert_eq!(config.record, record);
-            let config = configuration(&base, &policies[1], Delivery::Newest).unwrap();
-            assert_eq!(config.screen.pause_s, 0.2);
         }
+    }
+
+    #[test]
+    fn a_run_pauses_on_an_empty_road_only_if_its_policy_says_so() {
+        let base = NodeConfig::default();
+        assert_eq!(configuration_of(&base, "albireo").screen.pause_s, 0.0);
+        let pausing = configuration_of(&base, "albireo:1e-3,pause_s=0.2");
+        assert_eq!(pausing.screen.pause_s, 0.2);
     }
 }

@@ -4,8 +4,8 @@ mod setup;
 
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
-use crate::cli::play::clip::{self, Loaded};
-use crate::cli::play::{Player, choose_meter, node_configuration, with_truth};
+use crate::cli::play::clip::{self, Extent, Loaded};
+use crate::cli::play::{Player, check_pace, choose_meter, node_configuration, with_truth};
 use crate::cli::progress;
 use crate::cli::terminal::program;
 use crate::cli::values::{counted, not_negative, parse_rate};
@@ -16,7 +16,6 @@ use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
 use albireo_eval::spec::{Base, PolicySpec, Sweep, resolve_with_pause};
-use albireo_node::camera::clip::LONGEST_REPORT_S;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
@@ -33,14 +32,20 @@ const PLAYING: &str = "How it is played";
 /// The node keeps no reports, and is not ready immediately, on purpose.
 const LOG_LEVEL: &str = "error,albireo_node::outbox=off,albireo_service::readiness=off";
 
+/// What can be done about a clip that takes too long at its own rate.
+const WITHOUT_PACE: &str =
+    "play it without --paced, name a higher --rate for pictures, or split it and its ground truth";
+
 /// Arguments of `albireo eval board`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Each run starts a node as `albireo node` does and plays one clip to it under one
-policy; the meter of the node measures it. On every second clip the policies run
-in reverse order. Each run is on disk when it is done: stopped, by Ctrl-C or a
-power cut, the same command goes on with the runs that are missing. It refuses
-if a setting that changes results is another one than before, and names it.
+Each run starts a node as `albireo node` does and plays one whole clip to it
+under one policy; the meter of the node measures it. A clip may have 1 GiB of
+encoded pictures, and a run may take an hour: split a longer one. On every
+second clip the policies run in reverse order. Each run is on disk when it is
+done: stopped, by Ctrl-C or a power cut, the same command goes on with the runs
+that are missing. It refuses if a setting that changes results is another one
+than before, and names it.
 
 There is a file for each detector, precision, power mode and machine. `albireo
 eval join` makes tables of one or several.
@@ -114,16 +119,19 @@ pub(super) struct BoardArguments {
 /// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be kept.
 pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let names = clip_names(&arguments.clips)?;
-    let file = arguments.config.as_deref();
-    let detector = arguments.detector.as_deref();
-    let mut config = node_configuration(file, detector, LOG_LEVEL)?;
+    let alone = names.len() == 1;
+    let mut config = node_configuration(
+        arguments.config.as_deref(),
+        arguments.detector.as_deref(),
+        LOG_LEVEL,
+    )?;
     let policies = policies(arguments, &config)?;
     let mut truth = ground_truth(arguments, &mut config.detector).await?;
     truth.check(&names)?;
     logging::start(&config.log)?;
     let shutdown = signals::shutdown()?;
     let meter = choose_meter(&mut config.power).await?;
-    let clips = measured_clips(arguments, &mut truth, names.len() == 1)?;
+    let clips = measured_clips(arguments, &mut truth, alone)?;
     let setup = setup::describe(arguments, &config)?;
     let mut file = RunsFile::open(&arguments.out, &setup, arguments.restart)?;
     for clip in &clips {
@@ -145,7 +153,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         arguments,
         config,
         truth,
-        alone: names.len() == 1,
+        alone,
         left_out: BTreeMap::new(),
         unusable: Vec::new(),
         loaded: None,
@@ -174,7 +182,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
             );
             return Ok(());
         }
-        file.add(played.with_context(|| name)?)?;
+        file.add(played.context(name)?)?;
         done += frames;
     }
     bar.finish_and_clear();
@@ -202,8 +210,10 @@ async fn ground_truth(
         "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
     )?;
     let mut config = detector.clone();
-    // An empty list reports all.
-    config.report_classes.get_or_insert_default();
+    if config.report_classes.is_none() {
+        // An empty list reports all.
+        config.report_classes = Some(Vec::new());
+    }
     let opening = tokio::task::spawn_blocking(move || DetectorNetwork::open(&config));
     let network = opening.await.context("loading the detector")??;
     let names = network.class_names();
@@ -229,12 +239,12 @@ fn time_left(elapsed: Duration, done: u64, all: u64) -> String {
     if done == 0 {
         return String::new();
     }
-    let left = elapsed.mul_f64((all - done.min(all)) as f64 / done as f64);
-    format!(", about {} left", HumanDuration(left))
+    let left = all.saturating_sub(done);
+    let time = elapsed.mul_f64(left as f64 / done as f64);
+    format!(", about {} left", HumanDuration(time))
 }
 
 fn policies(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Vec<PolicySpec>> {
-    // Labels name no screen: it is the node's own.
     let base = Base {
         config: &config.policy,
         empty_road: config.screen.empty_road(),
@@ -247,6 +257,7 @@ fn policies(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<V
         ScreenRule::Nonempty,
         pixels,
     )?;
+    // The screen is the node's own, which is part of the setup and of no label.
     let plain = |spec: PolicySpec| PolicySpec {
         label: spec.label.split("-erd-").next().unwrap_or_default().to_owned(),
         ..spec
@@ -260,9 +271,10 @@ struct MeasuredClip {
     source: SourceName,
     /// Its number in the source, if that has several.
     number: usize,
-    /// `None` for a video, whose frames are counted when it is read.
+    /// The number of its frames; that of a video is what its file says, if it does.
     frames: Option<u64>,
-    /// What it is in words, as [`ClipRun::content`]; `None` for a video.
+    /// What it is in words, as [`ClipRun::content`]; `None` for a video, whose frames are counted when it is read: its file may
+    /// count some that cannot be played.
     content: Option<String>,
     /// True if the power trace of its runs is kept.
     is_traced: bool,
@@ -275,23 +287,34 @@ fn measured_clips(
     truth: &mut GroundTruth,
     alone: bool,
 ) -> anyhow::Result<Vec<MeasuredClip>> {
+    let mut sources = Vec::new();
+    for named in &arguments.clips {
+        sources.extend(named.split()?);
+    }
     let mut clips = Vec::new();
     let mut report = truth.take_report();
     let mut all = 0;
     let mut unlabelled = 0;
-    let split = arguments.clips.iter().map(SourceName::split);
-    for source in split.collect::<Result<Vec<_>, _>>()?.into_iter().flatten() {
+    for source in sources {
+        let is_video = matches!(source, SourceName::Video(_) | SourceName::VideoFiles(_));
         let opened = source.open_clips(arguments.rate, VideoEncoding::default())?;
-        for (number, mut clip) in opened.into_iter().enumerate() {
-            let name = clip.name().to_owned();
+        for (number, mut footage) in opened.into_iter().enumerate() {
+            let name = footage.name().to_owned();
             if !truth.has(&name, alone) {
                 eprintln!("{name}: not in the ground truth, left out");
                 continue;
             }
-            let frames = clip.frames();
+            let frames = footage.frames();
             let mut content = None;
-            if let Some(frames) = frames {
-                let first = clip.next()?.with_context(|| format!("{name}: it has no pictures"))?;
+            if let Some(frames) = frames
+                && !is_video
+            {
+                if arguments.paced {
+                    let rate = rate(arguments, truth, alone, &*footage);
+                    check_pace(frames, rate, WITHOUT_PACE).with_context(|| name.clone())?;
+                }
+                let first = footage.next()?;
+                let first = first.with_context(|| format!("{name}: it has no pictures"))?;
                 let clip = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
                 all += clip.frames;
                 unlabelled += clip.unlabelled();
@@ -311,13 +334,30 @@ fn measured_clips(
         eprintln!("Ground truth: {line}");
     }
     if unlabelled > 0 {
-        eprintln!(
-            "Ground truth: {} of {all} frames are labelled. Accuracy is that of these; the others count for calls, time and \
-             energy.",
-            all - unlabelled
-        );
+        eprintln!("Ground truth: {}", labelled(all - unlabelled, all));
     }
     Ok(clips)
+}
+
+/// Says how many of all frames are labelled, and what that means.
+fn labelled(frames: usize, all: usize) -> String {
+    format!(
+        "{frames} of {all} frames are labelled. Accuracy is that of these; the others count for calls, time and energy."
+    )
+}
+
+/// The frames per second at which a clip is paced: those that the user names, which the opened source has, or those of the ground
+/// truth, or the source's own.
+fn rate(
+    arguments: &BoardArguments,
+    truth: &GroundTruth,
+    alone: bool,
+    footage: &dyn FrameSource,
+) -> f64 {
+    match truth.rate(footage.name(), alone) {
+        Some(rate) if arguments.rate.is_none() => rate,
+        _ => footage.rate(),
+    }
 }
 
 /// Describes what the clip is, so that later runs can be held against it. The digest is of what boxes are judged by: neither the
@@ -411,15 +451,13 @@ impl Measuring<'_> {
         tell: impl Fn(&str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
-        let loaded = match self.loaded.take() {
-            Some((player, clip)) if clip.name == of.name => (player, clip),
-            before => {
-                // Only one clip is in memory.
-                drop(before);
-                self.load(of, tell).await?
-            }
+        let kept = self.loaded.take().filter(|(_, clip)| clip.name == of.name);
+        let loaded = match kept {
+            Some(kept) => kept,
+            // The clip before is gone by now: only one is in memory.
+            None => self.load(of, tell).await?,
         };
-        let (player, clip) = &*self.loaded.insert(loaded);
+        let (player, clip) = self.loaded.insert(loaded);
         let content = content_of(clip);
         file.check_clip(&of.name, &content)?;
         let played = player.play(policy, progress, shutdown).await?;
@@ -454,13 +492,9 @@ impl Measuring<'_> {
         let arguments = self.arguments;
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
-        // A rate that the user names is that of the opened source.
-        let rate = match self.truth.rate(&of.name, self.alone) {
-            Some(rate) if arguments.rate.is_none() => rate,
-            _ => source.rate(),
-        };
-        // A clip is in memory while its policies are played, and one report must cover it.
-        let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_REPORT_S));
+        let rate = rate(arguments, &self.truth, self.alone, &*source);
+        let extent = Extent::Whole;
+        let loading = tokio::task::spawn_blocking(move || clip::load(source, extent));
         let loaded = loading.await.context("reading the clip")??;
         if let Some(warning) = loaded.warning() {
             tell(&warning);
@@ -468,12 +502,22 @@ impl Measuring<'_> {
         }
         let Loaded { pictures, size, .. } = loaded;
         let frames = pictures.frames().unwrap_or_default();
+        if arguments.paced {
+            check_pace(frames, rate, WITHOUT_PACE)?;
+        }
         // What is left out was reported before the first run.
         let report = &mut LoadReport::default();
         let clip = with_truth(&mut self.truth, &of.name, size, frames, self.alone, report)?;
+        let unlabelled = clip.unlabelled();
+        // Of other clips it was said before the first run.
+        if of.content.is_none() && unlabelled > 0 {
+            let frames = labelled(clip.frames - unlabelled, clip.frames);
+            tell(&format!("{}: {frames}", of.name));
+        }
         let player = Player {
             config: self.config.clone(),
             clip: pictures,
+            extent,
             size,
             rate: arguments.paced.then_some(rate),
             warm_up_s: arguments.warm_up,

@@ -4,13 +4,32 @@ use crate::cli::values::counted;
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, decode_small_grey};
-use anyhow::{Context, bail};
+use anyhow::bail;
 
-/// Largest clip, bytes.
+/// The most bytes of a clip, many times those of any picture.
 const MAX_BYTES: usize = 1 << 30;
 
 /// The width at which pictures are decoded to learn whether they are whole, which costs least.
 const TRIED_WIDTH: u32 = 64;
+
+/// How much of a clip is played.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::cli) enum Extent {
+    /// All of it, as `eval board` does.
+    Whole,
+    /// Its first seconds, as `compare --seconds` does.
+    Seconds(f64),
+}
+
+impl Extent {
+    /// What can be done about a clip that is too long.
+    pub(in crate::cli) const fn way_out(self) -> &'static str {
+        match self {
+            Self::Whole => "split it, and its ground truth, into several clips",
+            Self::Seconds(_) => "play less of it with --seconds",
+        }
+    }
+}
 
 /// A clip in memory.
 pub(in crate::cli) struct Loaded {
@@ -25,47 +44,55 @@ impl Loaded {
     /// Says what cannot be decoded and what that means; `None` if all can.
     pub(in crate::cli) fn warning(&self) -> Option<String> {
         let first = self.unusable.first()?;
-        let all = self.pictures.frames().unwrap_or_default();
+        let name = self.pictures.name();
+        let unusable = self.unusable.len();
+        let all = counted(
+            self.pictures.frames().unwrap_or_default(),
+            "picture",
+            "pictures",
+        );
+        let it_counts = if unusable == 1 {
+            "it counts"
+        } else {
+            "each counts"
+        };
         Some(format!(
-            "{}: {} of {} cannot be used, and {} as a frame without boxes for every policy that looks at it; repair or leave \
-             out what `albireo detect` names. The first: {first}",
-            self.pictures.name(),
-            self.unusable.len(),
-            counted(all, "picture", "pictures"),
-            if self.unusable.len() == 1 {
-                "counts"
-            } else {
-                "each counts"
-            },
+            "{name}: {unusable} of {all} cannot be used: {it_counts} as a frame without boxes for every policy that looks at \
+             it. Repair or leave out what `albireo detect` names. The first: {first}"
         ))
     }
 }
 
-/// Reads the first `seconds` of `source`, and tries each picture.
+/// Reads `extent` of `source`, and tries each picture.
 ///
 /// # Errors
 /// When the source fails, is empty, or is too large for the memory.
 pub(in crate::cli) fn load(
     mut source: Box<dyn FrameSource>,
-    seconds: f64,
+    extent: Extent,
 ) -> anyhow::Result<Loaded> {
-    let most = (seconds * source.rate()).round().max(1.0) as usize;
+    let most = match extent {
+        Extent::Whole => usize::MAX,
+        Extent::Seconds(seconds) => (seconds * source.rate()).round().max(1.0) as usize,
+    };
     let limits = FrameLimits::default();
     let mut tried = Picture::default();
     let mut unusable = Vec::new();
     let mut pictures: Vec<EncodedPicture> = Vec::new();
     let mut bytes = 0;
     while pictures.len() < most {
-        let Some(picture) = source.next().context("--clip")? else {
+        let Some(picture) = source.next()? else {
             break;
         };
         bytes += picture.bytes.len();
         if bytes > MAX_BYTES {
             bail!(
-                "--clip: {} frames take more than {} MiB; play less of it with --seconds {:.0}",
+                "{}: only its first {} pictures ({:.2} s) fit into the {} MiB of memory that a clip may take: {}",
+                source.name(),
                 pictures.len(),
+                pictures.len() as f64 / source.rate(),
                 MAX_BYTES >> 20,
-                (pictures.len() as f64 / source.rate() * 0.9).floor()
+                extent.way_out()
             );
         }
         if let Err(fault) = decode_small_grey(&picture, &limits, TRIED_WIDTH, &mut tried) {
@@ -77,12 +104,12 @@ pub(in crate::cli) fn load(
         }
         pictures.push(picture);
     }
-    let Some(size) = pictures.first().map(|first| first.size) else {
-        bail!("--clip {}: it has no frames", source.name());
+    let Some(first) = pictures.first() else {
+        bail!("{}: it has no frames", source.name());
     };
     Ok(Loaded {
+        size: first.size,
         pictures: Pictures::in_memory(source.name().to_owned(), pictures, source.rate()),
-        size,
         unusable,
     })
 }
@@ -92,29 +119,56 @@ mod tests {
     use super::*;
     use std::path::Path;
 
+    fn road() -> Pictures {
+        Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap()
+    }
+
     #[test]
     fn a_clip_is_as_long_as_asked_for() {
-        let source = Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap();
-        let loaded = load(Box::new(source), 0.3).unwrap();
+        let loaded = load(Box::new(road()), Extent::Seconds(0.3)).unwrap();
         assert_eq!(loaded.pictures.frames(), Some(3));
         assert_eq!(loaded.warning(), None);
     }
 
     #[test]
+    fn a_whole_clip_is_read_to_its_end_however_slow_its_rate_is() {
+        let picture = road().next().unwrap().unwrap();
+        let two_hours = Pictures::in_memory("slow".to_owned(), vec![picture; 8], 1e-3);
+        let loaded = load(Box::new(two_hours), Extent::Whole).unwrap();
+        assert_eq!(loaded.pictures.frames(), Some(8));
+    }
+
+    #[test]
+    fn a_clip_that_is_too_large_says_how_much_fits_and_what_its_user_can_do() {
+        let mut picture = road().next().unwrap().unwrap();
+        picture.bytes = vec![0; 300 << 20].into();
+        for (extent, way_out) in [
+            (Extent::Whole, "split it, and its ground truth"),
+            (Extent::Seconds(9.0), "with --seconds"),
+        ] {
+            let large = Pictures::in_memory("large".to_owned(), vec![picture.clone(); 5], 10.0);
+            let refused = load(Box::new(large), extent).err().unwrap().to_string();
+            let fits = "large: only its first 3 pictures (0.30 s) fit into the 1024 MiB";
+            assert!(refused.starts_with(fits), "{refused}");
+            assert!(refused.contains(way_out), "{refused}");
+        }
+    }
+
+    #[test]
     fn a_picture_that_is_cut_short_is_played_named_and_counted() {
         let folder = tempfile::tempdir().unwrap();
-        let mut road = Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap();
+        let mut road = road();
         for name in ["1.jpg", "2.jpg", "3.jpg"] {
             let bytes = road.next().unwrap().unwrap().bytes;
-            let whole = if name == "2.jpg" { 3000 } else { bytes.len() };
-            std::fs::write(folder.path().join(name), &bytes[..whole]).unwrap();
+            let kept = if name == "2.jpg" { 3000 } else { bytes.len() };
+            std::fs::write(folder.path().join(name), &bytes[..kept]).unwrap();
         }
         let source = Pictures::of_folder(folder.path(), 10.0).unwrap();
-        let loaded = load(Box::new(source), 10.0).unwrap();
+        let loaded = load(Box::new(source), Extent::Whole).unwrap();
         assert_eq!(loaded.pictures.frames(), Some(3));
         let said = loaded.warning().unwrap();
         let words = [
-            "1 of 3 pictures cannot be used, and counts as",
+            "1 of 3 pictures cannot be used: it counts as",
             "2.jpg: undecodable",
             "cut short",
         ];
