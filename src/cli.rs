@@ -263,8 +263,8 @@ mod tests {
             for line in help.lines().filter(|line| !line.starts_with("Usage:")) {
                 assert!(line.chars().count() <= 80, "{}: {line}", command.get_name());
             }
-            let closing = command.get_after_help().map(ToString::to_string);
-            for line in closing.iter().flat_map(|closing| closing.lines()) {
+            let closing = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for line in closing.lines() {
                 assert!(help.lines().any(|shown| shown == line), "broken: {line}");
             }
             1 + command.get_subcommands_mut().map(check).sum::<usize>()

@@ -229,5 +229,8 @@ async fn camera(
         close(session).await
     };
     let played = shutdown.run_until_cancelled(playing).await;
-    played.unwrap_or(Ok(())).context("camera")
+    match played {
+        Some(ended) => ended.context("camera"),
+        None => Ok(()),
+    }
 }

@@ -67,6 +67,10 @@ fn named(response: &Response) -> Option<PathBuf> {
     let header = response.headers().get(CONTENT_DISPOSITION)?.to_str().ok()?;
     let (_, name) = header.split_once("filename=\"")?;
     let name = name.strip_suffix('"')?;
-    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    (name.chars().all(plain) && name.starts_with("albireo-")).then(|| name.into())
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if name.starts_with("albireo-") && name.chars().all(is_plain) {
+        Some(name.into())
+    } else {
+        None
+    }
 }

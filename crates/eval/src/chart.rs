@@ -113,6 +113,13 @@ impl Axis<'_> {
 /// The height of a line of the legend, pixels.
 const LEGEND_LINE: i32 = 20;
 
+/// The width of a marker and the gaps beside it, pixels, and where in it the name begins.
+const LEGEND_MARKER: i32 = 26;
+const LEGEND_NAME: i32 = 10;
+
+/// The width of a letter of the legend, pixels.
+const LEGEND_LETTER: i32 = 8;
+
 /// The lines of a legend above a chart, where no data are.
 struct Legend {
     /// The places of the markers.
@@ -129,7 +136,7 @@ impl Legend {
         let mut y = 12 + LEGEND_LINE / 2;
         let mut places = Vec::new();
         for (_, name) in names {
-            let width = 26 + 8 * name.chars().count() as i32;
+            let width = LEGEND_MARKER + LEGEND_LETTER * name.chars().count() as i32;
             if x + width > right && x > left {
                 x = left;
                 y += LEGEND_LINE;
@@ -185,7 +192,11 @@ pub(crate) fn chart(
         let text = (FONT, 14).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
         for ((index, name), (x, y)) in names.iter().zip(places) {
             root.draw(&marker((x, y), *index, color_of(*index, name).filled()))?;
-            root.draw(&Text::new((*name).to_owned(), (x + 10, y), text.clone()))?;
+            root.draw(&Text::new(
+                (*name).to_owned(),
+                (x + LEGEND_NAME, y),
+                text.clone(),
+            ))?;
         }
         root.present()?;
     }
@@ -355,9 +366,12 @@ pub(crate) fn stacked(
 
 /// Returns a range around `values`, extended by this share on both sides; it is never empty.
 pub(crate) fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-        (low.min(value), high.max(value))
-    });
+    let mut low = f64::INFINITY;
+    let mut high = f64::NEG_INFINITY;
+    for value in values {
+        low = low.min(value);
+        high = high.max(value);
+    }
     if !(low.is_finite() && high.is_finite()) {
         return 0.0..1.0;
     }
@@ -376,14 +390,17 @@ mod tests {
         let names: Vec<_> = (0..12).map(|index| (index, long.as_str())).collect();
         let Legend { places, height } = Legend::new(&names);
         assert_eq!(places.len(), 12);
-        let width = 8 * 40;
+        let width = LEGEND_LETTER * 40;
         for pair in places.windows(2) {
             let (x, y) = pair[0];
             let (next_x, next_y) = pair[1];
-            assert!(y < next_y || x + 26 + width <= next_x, "{pair:?}");
+            assert!(
+                y < next_y || x + LEGEND_MARKER + width <= next_x,
+                "{pair:?}"
+            );
         }
         for (x, y) in places {
-            assert!(x + 10 + width < SIZE.0 as i32, "{x}");
+            assert!(x + LEGEND_NAME + width < SIZE.0 as i32, "{x}");
             assert!(y + LEGEND_LINE / 2 <= height, "{y}");
         }
         let empty = Legend::new(&[]);
@@ -407,6 +424,10 @@ mod tests {
             assert!(different.len() > 3, "{end}: {labels:?}");
             assert_eq!(labels.len(), 2 * different.len(), "{end}: {labels:?}");
         }
+    }
+
+    #[test]
+    fn labels_that_are_ten_apart_have_no_decimals() {
         assert_eq!(decimals(&(0.0..100.0), MOST_LABELS), 0);
     }
 

@@ -46,10 +46,16 @@ impl MeanEstimate {
 
 /// The mean of `values`; `None` if there are none.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.into_iter().fold((0.0, 0_usize), |(sum, count), value| {
-        (sum + value, count + 1)
-    });
-    (count > 0).then(|| sum / count as f64)
+    let mut sum = 0.0;
+    let mut count = 0;
+    for value in values {
+        sum += value;
+        count += 1;
+    }
+    if count == 0 {
+        return None;
+    }
+    Some(sum / f64::from(count))
 }
 
 /// The `share` quantile (0 to 1) of `sorted`, linear between neighbours as NumPy's default; `None` if

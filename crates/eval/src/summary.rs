@@ -265,8 +265,11 @@ impl Means<'_> {
 
     /// The mean, if every clip has the figure: a mean over only some of them would not be that of the others' frames.
     fn if_all(&self, figure: impl Fn(&ClipResult) -> Option<f64>) -> Option<f64> {
-        let is_known = self.results.iter().all(|result| figure(result).is_some());
-        is_known.then(|| self.over(figure)).flatten()
+        if self.results.iter().all(|result| figure(result).is_some()) {
+            self.over(figure)
+        } else {
+            None
+        }
     }
 
     /// The mean difference to the baseline on the same clips.

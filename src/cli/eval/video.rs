@@ -242,8 +242,11 @@ impl Evaluation<'_> {
         for clips in self.video.clips.iter().filter(are_pictures) {
             for mut source in clips.open_clips(self.arguments.rate, self.video.encoding)? {
                 let known = source.frames().and_then(|frames| usize::try_from(frames).ok());
+                let Some(whole) = known else {
+                    continue;
+                };
                 // A picture that cannot be used is reported in the pass.
-                let (Some(whole), Ok(Some(first))) = (known, source.next()) else {
+                let Ok(Some(first)) = source.next() else {
                     continue;
                 };
                 let most = self.pass_settings.max_frames.unwrap_or(whole);

@@ -249,7 +249,8 @@ async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result
         let mut text = headline(rollout) + "\n";
         for left_out in &rollout.left_out {
             let line = format!("  without {}: {}", left_out.node, left_out.why);
-            text += &(cut(&line, width()) + "\n");
+            text += &cut(&line, width());
+            text.push('\n');
         }
         text + &format!("{} fleet rollout show {id} --follow\n", program())
     })

@@ -142,6 +142,7 @@ pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_wire::Target;
 
     #[test]
     fn times_read_as_people_write_them() {
@@ -170,19 +171,29 @@ mod tests {
         ] {
             assert_eq!(figure(value), expected);
         }
-        let text = |name: &str, value: f64| threshold(&Threshold::new(name, value));
-        assert_eq!(text("u", 5e-4), "5e-4");
-        assert_eq!(text("lambda", 0.3), "lambda 0.3");
-        assert_eq!(text("lambda", 0.2901719359159484), "lambda 0.290172");
+    }
+
+    #[test]
+    fn a_threshold_is_named_unless_it_is_u_and_a_target_is_held() {
+        for (name, value, expected) in [
+            ("u", 5e-4, "5e-4"),
+            ("lambda", 0.3, "lambda 0.3"),
+            ("lambda", 0.2901719359159484, "lambda 0.290172"),
+        ] {
+            let given = DesiredSetting::Threshold(Threshold::new(name, value));
+            assert_eq!(setting(&given), expected);
+        }
+        let target = DesiredSetting::Target(Target::named("skip_rate", 0.5));
+        assert_eq!(setting(&target), "hold skip_rate 0.5");
+        assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
     }
 
     #[test]
     fn a_target_is_written_as_advise_takes_it_as_json_or_off() {
-        use albireo_wire::Target;
         use serde_json::json;
         for (text, expected) in [
             ("skip_rate=0.5", json!({"skip_rate": 0.5})),
-            (" recall = 0.9".trim(), json!({"recall": 0.9})),
+            ("recall = 0.9", json!({"recall": 0.9})),
             (r#"{"watts": 3}"#, json!({"watts": 3})),
             (r#"{"target": {"watts": 3}}"#, json!({"watts": 3})),
             (r#"{"target": null}"#, json!(null)),
@@ -194,11 +205,5 @@ mod tests {
             let error = target(wrong).unwrap_err();
             assert!(error.contains("NAME=VALUE"), "{wrong}: {error}");
         }
-        let target = Target::named("skip_rate", 0.5);
-        let held = setting(&DesiredSetting::Target(target));
-        assert_eq!(held, "hold skip_rate 0.5");
-        assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
-        let threshold = Threshold::new("u", 5e-4);
-        assert_eq!(setting(&DesiredSetting::Threshold(threshold)), "5e-4");
     }
 }

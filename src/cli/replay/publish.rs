@@ -317,7 +317,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     };
     let mut prepared = start_reading(source, options.repeat);
     let mut sent = Sent::default();
-    let mut begun = None;
+    let mut started = None;
     let mut pace = Pace {
         period: (options.rate != Some(UNPACED)).then_some(period),
         due: Instant::now(),
@@ -330,13 +330,18 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             next = next_picture(&mut prepared, &mut sent.left_out) => next?,
         };
         let Some(read) = next else { break };
-        let begun = *begun.get_or_insert_with(|| {
-            pace.due = Instant::now();
-            Begun {
-                instant: pace.due,
-                unix_ns: unix_nanoseconds(),
+        let begun = match started {
+            Some(begun) => begun,
+            None => {
+                let begun = Begun {
+                    instant: Instant::now(),
+                    unix_ns: unix_nanoseconds(),
+                };
+                pace.due = begun.instant;
+                started = Some(begun);
+                begun
             }
-        });
+        };
         tokio::select! {
             biased;
             () = shutdown.cancelled() => break,

@@ -98,11 +98,10 @@ pub fn advise(
     }
     let mut config = PolicyConfig::default();
     config.select(policy).map_err(refused)?;
-    let spec = config.build().map_err(refused)?.threshold_spec().ok_or_else(|| {
-        refused(format!(
-            "{policy}: it has no threshold to meet a target with"
-        ))
-    })?;
+    let Some(spec) = config.build().map_err(refused)?.threshold_spec() else {
+        let what = format!("{policy}: it has no threshold to meet a target with");
+        return Err(refused(what));
+    };
     let mut screens = vec![ScreenRule::Nonempty];
     if clips.iter().all(|clip| clip.screen.is_some()) {
         screens.push(ScreenRule::Recorded);

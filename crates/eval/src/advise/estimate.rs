@@ -50,21 +50,20 @@ impl Estimate {
             .filter(|[_, below]| *below > 0.0)
             .map(|[above, below]| (above - value * below).powi(2))
             .sum();
-        let reach = StudentsT::new(0.0, 1.0, count - 1.0)
-            .ok()
-            .map(|t| t.inverse_cdf(0.975) * (squares * count / (count - 1.0)).sqrt() / denominator);
-        Some(match reach {
-            Some(reach) if reach.is_finite() => Self {
-                value,
-                low: (value - reach).max(0.0),
-                high: (value + reach).min(1.0),
-            },
-            _ => Self {
-                value,
-                low: 0.0,
-                high: 1.0,
-            },
-        })
+        let mut estimate = Self {
+            value,
+            low: 0.0,
+            high: 1.0,
+        };
+        if let Ok(t) = StudentsT::new(0.0, 1.0, count - 1.0) {
+            let standard_error = (squares * count / (count - 1.0)).sqrt() / denominator;
+            let reach = t.inverse_cdf(0.975) * standard_error;
+            if reach.is_finite() {
+                estimate.low = (value - reach).max(0.0);
+                estimate.high = (value + reach).min(1.0);
+            }
+        }
+        Some(estimate)
     }
 }
 

@@ -126,7 +126,8 @@ pub(super) fn try_out(
         let count = (compared.len() / length).max(1);
         let mut own = vec![Block::default(); count];
         for (index, frame) in compared.iter().enumerate() {
-            own[(index / length).min(count - 1)].count(frame.as_deref());
+            let block = (index / length).min(count - 1);
+            own[block].count(frame.as_deref());
         }
         blocks.extend(own);
     }

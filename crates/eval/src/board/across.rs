@@ -50,7 +50,10 @@ fn differing_settings(setups: &[SetupRuns]) -> Option<String> {
             format!("{key} ({})", values.join(", "))
         })
         .collect();
-    (!named.is_empty()).then(|| format!("The setups also differ in {}.", named.join(", ")))
+    if named.is_empty() {
+        return None;
+    }
+    Some(format!("The setups also differ in {}.", named.join(", ")))
 }
 
 /// A policy in a setup.
@@ -109,6 +112,9 @@ fn without_empty(mut columns: Vec<Column>) -> Vec<Column> {
 fn detectors(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
     let machine = |runs: &SetupRuns| [&runs.setup.detector, &runs.setup.machine].map(String::clone);
     let different: BTreeSet<[String; 2]> = setups.iter().map(machine).collect();
+    if different.len() < 2 {
+        return None;
+    }
     let rows: Vec<PolicyRow<'_>> = rows(setups, summaries).collect();
     let mut columns = vec![
         column("", "detector", &rows, |row| row.setup.detector.clone()),
@@ -123,7 +129,7 @@ fn detectors(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedT
         columns.push(column("", "setup", &rows, detail));
     }
     columns.extend(figures(&rows));
-    (different.len() > 1).then(|| JoinedTable {
+    Some(JoinedTable {
         title: "Detectors and machines side by side; changes against vanilla of the same setup"
             .to_owned(),
         columns: without_empty(columns),
@@ -143,6 +149,9 @@ fn modes(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable
     };
     let mut rows: Vec<PolicyRow<'_>> =
         rows(setups, summaries).filter(|row| has_another(row.setup)).collect();
+    if rows.is_empty() {
+        return None;
+    }
     // The modes of a policy are beside each other; the sort is stable, so they stay in the order of the files.
     let key = |row: &PolicyRow<'_>| {
         let PolicyRow { setup, figures } = row;
@@ -161,7 +170,7 @@ fn modes(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable
         column("", "power mode", &rows, |row| row.setup.power_mode.clone()),
     ];
     columns.extend(figures(&rows));
-    (!rows.is_empty()).then(|| JoinedTable {
+    Some(JoinedTable {
         title: "Power modes side by side; changes against vanilla of the same mode".to_owned(),
         columns: without_empty(columns),
         notes: Vec::new(),
@@ -170,6 +179,9 @@ fn modes(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable
 
 /// Whether savings multiply; none without two setups of one machine.
 fn composed(rows: &[Composition]) -> Option<JoinedTable> {
+    if rows.is_empty() {
+        return None;
+    }
     let columns = vec![
         column("", "setups", rows, |row| row.setups.clone()),
         column("", "policy", rows, |row| {
@@ -185,7 +197,7 @@ fn composed(rows: &[Composition]) -> Option<JoinedTable> {
         }),
         column("clips", "", rows, |row| row.clips.to_string()),
     ];
-    (!rows.is_empty()).then(|| JoinedTable {
+    Some(JoinedTable {
         title: "Do savings multiply? Energy saved by skipping in the first setup, by the second setup without skipping, and \
                 by both"
             .to_owned(),

@@ -219,8 +219,13 @@ pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
     } else {
         Some(published::parse(path, &text)?)
     };
-    let found = found.filter(|found| !found.runs.is_empty());
-    found.ok_or_else(|| EvalError::content(path, format!("it has no rows; {JOINED}")))
+    match found {
+        Some(found) if !found.runs.is_empty() => Ok(found),
+        _ => Err(EvalError::content(
+            path,
+            format!("it has no rows; {JOINED}"),
+        )),
+    }
 }
 
 #[cfg(test)]

@@ -215,13 +215,13 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
         Some(mean(joules.iter().map(figure))? * mean(times.iter().map(figure))?)
     };
     let edps = edp(|pair| pair.own).zip(edp(|pair| pair.before));
-    let saving = joules.iter().filter(|pair| pair.own < pair.before).count();
+    let saves = |pair: &Pair| f64::from(u8::from(pair.own < pair.before));
     Some(Changes {
         map: points(&both(&|run| run.map)),
         joules: percent(&joules),
         frame_ms: percent(&times),
         edp: edps.map(|(own, before)| 100.0 * (own / before - 1.0)),
-        clips_that_save: (!joules.is_empty()).then(|| saving as f64 / joules.len() as f64),
+        clips_that_save: mean(joules.iter().map(saves)),
         clips: clips_of(&ap50),
         ap50: points(&ap50),
     })
@@ -229,13 +229,16 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
 
 /// Counts the clips whose AP@50 did not fall.
 fn clips_of(ap50: &[Pair]) -> Option<ClipsOfAp> {
+    if ap50.is_empty() {
+        return None;
+    }
     let mut drops: Vec<f64> = ap50
         .iter()
         .map(|pair| 100.0 * (pair.before - pair.own))
         .filter(|drop| *drop > 0.0)
         .collect();
     drops.sort_by(f64::total_cmp);
-    (!ap50.is_empty()).then(|| ClipsOfAp {
+    Some(ClipsOfAp {
         as_good: ap50.len() - drops.len(),
         all: ap50.len(),
         median_drop: crate::statistics::quantile(&drops, 0.5),

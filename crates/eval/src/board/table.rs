@@ -131,7 +131,10 @@ fn without_rows(
         .filter(|(is_there, _)| !is_there)
         .map(|(_, what)| format!("{what}."));
     let notes: Vec<String> = missing.collect();
-    (!notes.is_empty()).then(|| JoinedTable {
+    if notes.is_empty() {
+        return None;
+    }
+    Some(JoinedTable {
         title: "No rows, and what they need".to_owned(),
         columns: Vec::new(),
         notes,
@@ -271,6 +274,9 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
         .iter()
         .filter_map(|row| Some((row, row.change.as_ref()?)))
         .collect();
+    if rows.is_empty() {
+        return None;
+    }
     let figure = |found: Option<Difference>| or_dash(found.map(|found| found.text(1)));
     let p = |found: Option<Difference>| or_dash(found.map(Difference::p_text));
     let mean = |found: Option<Difference>| or_dash(found.map(|found| signed(found.mean, 1)));
@@ -295,7 +301,7 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
         Some(clips) => format!(", {} with ground truth", counted(clips, "clip")),
         None => String::new(),
     };
-    (!rows.is_empty()).then(|| JoinedTable {
+    Some(JoinedTable {
         title: format!("Differences to vanilla with 95 % intervals and p (paired t{with_truth})"),
         columns,
         notes,
@@ -321,7 +327,11 @@ fn sentence(row: &PolicyFigures, change: &Changes) -> Option<String> {
             clips.as_good, clips.all
         ));
     }
-    (!parts.is_empty()).then(|| format!("{}: {}.", short_label(&row.policy), parts.join("; ")))
+    if parts.is_empty() {
+        return None;
+    }
+    let policy = short_label(&row.policy);
+    Some(format!("{policy}: {}.", parts.join("; ")))
 }
 
 /// The settings of each policy of which several were measured, in order; none if there is no such policy.
@@ -347,6 +357,9 @@ fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
         settings.sort_by(|a, b| a.value.total_cmp(&b.value));
         rows.extend(settings);
     }
+    if rows.is_empty() {
+        return None;
+    }
     let change = |row: &SweptRow<'_>, figure: fn(&Changes) -> Option<f64>| {
         let change = row.figures.change.as_ref().and_then(figure);
         or_dash(change.map(|value| signed(value, 1)))
@@ -369,7 +382,7 @@ fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
         column("change", "%", &rows, |row| change(row, |change| change.edp)),
     ];
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
-    (!rows.is_empty()).then(|| JoinedTable {
+    Some(JoinedTable {
         title: format!("Sweep: {}", summary.title),
         columns,
         notes: Vec::new(),
@@ -388,7 +401,11 @@ fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
             one_decimal(row.domains.get(*name).copied())
         })
     }));
-    (columns.len() > 2).then(|| JoinedTable {
+    // A single one says no more than the total.
+    if names.len() < 2 {
+        return None;
+    }
+    Some(JoinedTable {
         title: format!("Energy by domain: {}", summary.title),
         columns,
         notes: Vec::new(),

@@ -89,6 +89,16 @@ mod tests {
     use super::*;
     use crate::judge::average_precision::tests::at;
 
+    /// The agreement of boxes with themselves.
+    fn full(frames: u64) -> Agreement {
+        Agreement {
+            ap50: 1.0,
+            precision: 1.0,
+            recall: 1.0,
+            frames,
+        }
+    }
+
     #[test]
     fn identical_boxes_agree_fully_and_shifted_ones_by_their_overlap() {
         let reference: Boxes = [
@@ -97,7 +107,7 @@ mod tests {
         ]
         .into();
         let same = agreement(&reference, &reference).unwrap();
-        assert_eq!((same.ap50, same.precision, same.recall), (1.0, 1.0, 1.0));
+        assert_eq!(same, full(2));
         // Of three boxes one is missed, and one of the two given is far off.
         let other: Boxes = [(0, vec![at(1.0, 0.9), at(80.0, 0.5)]), (1, vec![])].into();
         let found = agreement(&other, &reference).unwrap();
@@ -111,7 +121,7 @@ mod tests {
         let reference: Boxes = [(0, vec![at(0.0, 0.9)]), (1, vec![at(0.0, 0.9)])].into();
         let other: Boxes = [(1, vec![at(0.0, 0.9)]), (2, vec![at(0.0, 0.9)])].into();
         let found = agreement(&other, &reference).unwrap();
-        assert_eq!((found.frames, found.precision, found.recall), (1, 1.0, 1.0));
+        assert_eq!(found, full(1));
     }
 
     #[test]
@@ -122,7 +132,9 @@ mod tests {
             ignored: &[],
         };
         let found = agreement_with_truth(&[vec![at(0.0, 0.9)], vec![]], truth).unwrap();
-        assert_eq!((found.precision, found.recall, found.frames), (1.0, 0.5, 2));
+        assert_eq!(found.precision, 1.0);
+        assert_eq!(found.recall, 0.5);
+        assert_eq!(found.frames, 2);
     }
 
     #[test]

@@ -97,9 +97,11 @@ impl Mean {
         }
         let mean = values.iter().sum::<f64>() / rounds as f64;
         // For equal values the interval is only a rounding error, and for zeros it is undefined: both become 0.
-        let half = half_interval(values)
-            .filter(|half| *half > 1e-12 * mean.abs())
-            .or((rounds > 1).then_some(0.0));
+        let half = match half_interval(values) {
+            Some(half) if half > 1e-12 * mean.abs() => Some(half),
+            _ if rounds > 1 => Some(0.0),
+            _ => None,
+        };
         Some(Self { mean, half, rounds })
     }
 }
@@ -229,8 +231,11 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
     let differences: Vec<f64> = other.iter().zip(first).map(|(a, b)| a - b).collect();
     let mean = Mean::of(&differences)?;
     let base = Mean::of(first)?.mean;
+    if base == 0.0 {
+        return None;
+    }
     let percent = |value: f64| value / base.abs() * 100.0;
-    (base != 0.0).then(|| Change {
+    Some(Change {
         percent: percent(mean.mean),
         half: mean.half.map(percent),
     })

@@ -17,11 +17,14 @@ pub fn variants(
     base: Base<'_>,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
-    let sweep = (!thresholds.is_empty()).then(|| Sweep {
-        name: Albireo::THRESHOLD.name.to_owned(),
-        values: thresholds.to_vec(),
-    });
-    let found = swept(&asked, sweep.as_slice(), base, label)?;
+    let mut sweeps = Vec::new();
+    if !thresholds.is_empty() {
+        sweeps.push(Sweep {
+            name: Albireo::THRESHOLD.name.to_owned(),
+            values: thresholds.to_vec(),
+        });
+    }
+    let found = swept(&asked, &sweeps, base, label)?;
     if let [alone] = found.as_slice() {
         return Err(EvalError::new(format!(
             "`{}` is the only policy: name a second one, such as --policy vanilla --policy albireo",

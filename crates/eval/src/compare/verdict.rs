@@ -121,16 +121,16 @@ fn sentence(
     let mut parts = Vec::new();
     if let Some(calls) = policy.change(Figure::DetectorCalls) {
         let than = &first.policy;
-        parts.push(if is_unclear(calls) {
-            format!(
+        if is_unclear(calls) {
+            parts.push(format!(
                 "no clear difference in detector calls to {than} in {} rounds",
                 summary.rounds
-            )
+            ));
         } else {
             let word = if calls.percent > 0.0 { "more" } else { "fewer" };
             let share = with_half(calls.percent.abs(), calls.half);
-            format!("{share} % {word} detector calls than {than}")
-        });
+            parts.push(format!("{share} % {word} detector calls than {than}"));
+        }
     }
     if let Some(ap50) = verdict.ap50 {
         let of = comparison.policies.get(comparison.boxes_of);

@@ -68,28 +68,38 @@ impl<'a> StoredEvidence<'a> {
     /// # Errors
     /// When the policy needs pictures that the clip does not have.
     pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
-        let found = self.detections.get(frame).map_or(&[][..], Vec::as_slice);
-        let verdict = |empty| Evidence::Screen { empty };
-        Ok(match (need, self.screen) {
-            (Need::Nothing, _) => Evidence::Unavailable,
-            (Need::Screen, ScreenRule::Nonempty) => verdict(false),
-            (Need::Screen, ScreenRule::Detections) => verdict(found.is_empty()),
-            (Need::Screen, ScreenRule::Recorded) => {
-                let verdicts = self.clip.screen.as_deref().unwrap_or_default();
-                let empty = verdicts.get(frame).copied().flatten();
-                match empty {
-                    Some(empty) => verdict(self.run.limit(empty)),
-                    None => Evidence::Unavailable,
-                }
-            }
-            (Need::Detections, _) => {
+        let evidence = match need {
+            Need::Nothing => Evidence::Unavailable,
+            Need::Screen => match self.verdict(frame) {
+                Some(empty) => Evidence::Screen { empty },
+                None => Evidence::Unavailable,
+            },
+            Need::Detections => {
                 self.run.detector_ran();
-                Evidence::Detections(found)
+                Evidence::Detections(self.detections_of(frame))
             }
-            (Need::GreyPicture | Need::SmallGreyPicture { .. }, _) => {
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
                 Evidence::GreyPicture(self.grey_picture(frame, need)?)
             }
-        })
+        };
+        Ok(evidence)
+    }
+
+    fn detections_of(&self, frame: usize) -> &[Detection] {
+        self.detections.get(frame).map_or(&[], Vec::as_slice)
+    }
+
+    /// The screen's verdict, true for an empty frame; `None` if none was recorded.
+    fn verdict(&mut self, frame: usize) -> Option<bool> {
+        match self.screen {
+            ScreenRule::Nonempty => Some(false),
+            ScreenRule::Detections => Some(self.detections_of(frame).is_empty()),
+            ScreenRule::Recorded => {
+                let verdicts = self.clip.screen.as_deref().unwrap_or_default();
+                let recorded = verdicts.get(frame).copied().flatten()?;
+                Some(self.run.limit(recorded))
+            }
+        }
     }
 
     /// Returns the frame's grey picture in the size that `need` names.

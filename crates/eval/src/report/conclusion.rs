@@ -27,19 +27,19 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         let kept = others.iter().filter(|found| {
             lower_end(found).is_some_and(|lower| lower >= -MARGIN) && found.skip_rate > 0.0
         });
-        sentences.push(
-            match kept.max_by(|a, b| a.skip_rate.total_cmp(&b.skip_rate)) {
-                Some(best) => format!(
-                    "The largest saving shown to cost at most one point of AP@50 is that of {}",
-                    described(best, baseline)
-                ),
-                None => "No policy is shown to cost at most one point of AP@50: every interval reaches below that."
-                    .to_owned(),
-            },
-        );
+        let saving = match kept.max_by(|a, b| a.skip_rate.total_cmp(&b.skip_rate)) {
+            Some(best) => format!(
+                "The largest saving shown to cost at most one point of AP@50 is that of {}",
+                described(best, baseline)
+            ),
+            None => "No policy is shown to cost at most one point of AP@50: every interval reaches below that."
+                .to_owned(),
+        };
+        sentences.push(saving);
         let half = others.iter().filter(|found| found.skip_rate >= 0.45);
-        let best = half.max_by(|a, b| accuracy(a).total_cmp(&accuracy(b)));
-        if let Some(best) = best.filter(|best| best.ap50.is_some()) {
+        if let Some(best) = half.max_by(|a, b| accuracy(a).total_cmp(&accuracy(b)))
+            && best.ap50.is_some()
+        {
             sentences.push(format!(
                 "The most accurate policy with about half of the calls or fewer is {}",
                 described(best, baseline)
@@ -63,14 +63,14 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
 /// Says that there are too few clips to choose a policy by, if there are.
 fn too_short(baseline: &PolicySummary) -> Option<String> {
     let judged = baseline.clips;
-    (judged < ENOUGH_CLIPS).then(|| {
-        format!(
-            "{}, {} frames: too short to choose a policy by, whatever an interval says. What follows describes these \
-             clips only.",
-            counted(judged, "clip"),
-            baseline.frames
-        )
-    })
+    if judged >= ENOUGH_CLIPS {
+        return None;
+    }
+    Some(format!(
+        "{}, {} frames: too short to choose a policy by, whatever an interval says. What follows describes these clips only.",
+        counted(judged, "clip"),
+        baseline.frames
+    ))
 }
 
 fn accuracy(summary: &PolicySummary) -> f64 {

@@ -74,11 +74,11 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
             });
         }
     }
-    let places = |wanted: &dyn Fn(&PolicySummary) -> bool| {
-        let mut wanted: Vec<&JudgedPolicy<'_>> =
-            judged.iter().filter(|policy| wanted(policy.summary)).collect();
-        wanted.sort_by(|a, b| a.percent_skipped.total_cmp(&b.percent_skipped));
-        wanted.into_iter().map(JudgedPolicy::place).collect::<Vec<(f64, f64)>>()
+    let places = |is_wanted: &dyn Fn(&PolicySummary) -> bool| {
+        let mut found: Vec<&JudgedPolicy<'_>> =
+            judged.iter().filter(|policy| is_wanted(policy.summary)).collect();
+        found.sort_by(|a, b| a.percent_skipped.total_cmp(&b.percent_skipped));
+        found.into_iter().map(JudgedPolicy::place).collect::<Vec<(f64, f64)>>()
     };
     let across = range(judged.iter().map(|policy| policy.percent_skipped), 0.09);
     let up = vertical_range(&judged);

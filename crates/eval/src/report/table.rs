@@ -28,14 +28,14 @@ fn figures(summaries: &[PolicySummary], width: usize) -> String {
     let with_gap = |ranked: &RankedColumn| ranked.column.width() + 1;
     while columns.iter().map(with_gap).sum::<usize>() > width + 1 {
         // Of equal ranks the last.
-        let ranked = (1..columns.len()).filter(|&index| columns[index].rank > 0);
-        let Some(index) = ranked.max_by_key(|&index| (columns[index].rank, index)) else {
+        let can_go = (1..columns.len()).filter(|&index| columns[index].rank > 0);
+        let Some(index) = can_go.max_by_key(|&index| (columns[index].rank, index)) else {
             break;
         };
         left_out.push(columns.remove(index).column.heads.join(" "));
     }
-    let columns: Vec<Column> = columns.into_iter().map(|ranked| ranked.column).collect();
-    let mut text = fitted(&columns, " ", width);
+    let kept: Vec<Column> = columns.into_iter().map(|ranked| ranked.column).collect();
+    let mut text = fitted(&kept, " ", width);
     let mut notes = notes(summaries);
     if !left_out.is_empty() {
         let names: Vec<_> = left_out.iter().map(|name| name.trim()).collect();
@@ -125,7 +125,7 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
         "points with 95 % intervals and p (paired t, {})",
         counted(first.clips, "clip")
     );
-    [
+    let both = [
         (
             format!("Differences to vanilla, boxes as a node publishes them; {how}"),
             as_published,
@@ -134,13 +134,15 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
             format!("Differences to vanilla, all boxes, however faint; {how}"),
             all_boxes,
         ),
-    ]
-    .into_iter()
-    .filter_map(|(title, mut columns)| {
+    ];
+    let mut tables = Vec::new();
+    for (title, mut columns) in both {
         columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
-        (columns.len() > 1).then_some((title, columns))
-    })
-    .collect()
+        if columns.len() > 1 {
+            tables.push((title, columns));
+        }
+    }
+    tables
 }
 
 /// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those on

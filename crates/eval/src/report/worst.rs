@@ -77,13 +77,13 @@ fn place_of(result: &ClipResult, worst: &WorstFrame) -> String {
 
 /// The worst frames of a policy, each with the result of its clip.
 fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a ClipResult, &'a WorstFrame)> {
-    let mut worst = Vec::new();
+    let mut frames = Vec::new();
     for result in results.iter().filter(|result| result.policy == policy) {
-        worst.extend(result.worst.iter().map(|worst| (result, worst)));
+        frames.extend(result.worst.iter().map(|worst| (result, worst)));
     }
-    worst.sort_by_key(|(_, worst)| std::cmp::Reverse(worst.lost));
-    worst.truncate(SHOWN);
-    worst
+    frames.sort_by_key(|(_, worst)| std::cmp::Reverse(worst.lost));
+    frames.truncate(SHOWN);
+    frames
 }
 
 fn picture(place: &str, worst: &WorstFrame) -> Markup {
@@ -165,6 +165,7 @@ mod tests {
         assert!(place("data:image/jpeg;base64,/9j/") < place("class=\"truth\""));
         worst.picture = Some(FramePicture::File(folder.path().join("gone.jpg")));
         let drawn = picture("a clip", &worst).into_string();
-        assert!(!drawn.contains("<image") && drawn.contains("class=\"truth\""));
+        assert!(!drawn.contains("<image"));
+        assert!(drawn.contains("class=\"truth\""));
     }
 }

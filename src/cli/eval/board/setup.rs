@@ -99,8 +99,8 @@ fn settings_of(config: &NodeConfig) -> anyhow::Result<BTreeMap<String, String>> 
     flatten(String::new(), &without_secrets(&played), &mut settings);
     settings.retain(|key, _| !WITHOUT_EFFECT.iter().any(|start| key.starts_with(start)));
     let names = match &played.detector.class_names {
-        // Else it is one of the lists that are known by name.
-        Some(ClassNames::File(names)) => Some(names.clone()).filter(|names| names.is_file()),
+        Some(ClassNames::File(names)) if names.is_file() => Some(names.clone()),
+        // A list that is known by name, such as COCO's, is no file.
         _ => None,
     };
     let library = find_library(played.detector.onnxruntime.as_deref()).ok();
@@ -205,7 +205,8 @@ mod tests {
             ];
             for model in models.into_iter().flatten() {
                 let is_other = model.ends_with("b.onnx");
-                *model = folder.path().join(if is_other { "b.onnx" } else { "a.onnx" });
+                let name = if is_other { "b.onnx" } else { "a.onnx" };
+                *model = folder.path().join(name);
             }
             let always = [
                 "board",
@@ -222,8 +223,9 @@ mod tests {
         };
         let before = setup("", &[]);
         let now = setup(text, arguments);
-        let keys = before.keys().chain(now.keys()).filter(|key| before.get(*key) != now.get(*key));
-        let mut keys: Vec<String> = keys.cloned().collect();
+        let all = before.keys().chain(now.keys());
+        let is_different = |key: &&String| before.get(*key) != now.get(*key);
+        let mut keys: Vec<String> = all.filter(is_different).cloned().collect();
         keys.sort();
         keys.dedup();
         keys
