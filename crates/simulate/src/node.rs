@@ -168,7 +168,7 @@ impl SimNode {
     fn put_in_force(&mut self, setting: DesiredSetting) -> Result<(), &'static str> {
         match setting {
             DesiredSetting::Target(None) => self.target = None,
-            DesiredSetting::Target(Some(target)) => self.target = Some(self.hold(target)),
+            DesiredSetting::Target(Some(target)) => self.hold(target),
             DesiredSetting::Threshold(threshold) => {
                 if threshold.name.as_str() != "u" {
                     return Err("the threshold of the policy in use is `u`");
@@ -192,7 +192,7 @@ impl SimNode {
 
     /// Holds a target. The simulated street has a skip rate for each `u`, so the target is reached immediately, as if a
     /// controller had settled; there are no figures for power and recall.
-    fn hold(&mut self, target: Target) -> NodeTarget {
+    fn hold(&mut self, target: Target) {
         let mut held = NodeTarget {
             target,
             source: SettingSource::Hub,
@@ -216,7 +216,7 @@ impl SimNode {
             Target::Recall(_) => held.status = Some(TargetStatus::NoAudit),
             Target::Watts(_) => held.status = Some(TargetStatus::NoPower),
         }
-        held
+        self.target = Some(held);
     }
 
     /// The value in force.
@@ -311,7 +311,6 @@ impl SimNode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_wire::ClipReport;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
     use uuid::Uuid;
@@ -330,22 +329,42 @@ mod tests {
     }
 
     #[test]
-    fn an_older_revision_is_ignored_and_a_rejection_is_reported_once() {
+    fn an_older_revision_is_ignored() {
         let mut node = node(Options::default());
-        assert!(node.apply(&desired(5, 1e-3)));
-        assert!(!node.apply(&desired(5, 1e-3)), "the same revision again");
-        assert!(!node.apply(&desired(4, 1e-4)), "an older revision");
+        node.apply(&desired(5, 1e-3));
+        let is_status_due = node.apply(&desired(4, 1e-4));
+        assert!(!is_status_due);
         assert_eq!(node.u(), 1e-3);
         assert_eq!(node.revision, 5);
-        assert!(node.apply(&desired(6, 7.0)), "a value out of range");
+    }
+
+    #[test]
+    fn a_status_is_due_after_the_first_message_of_a_revision() {
+        let mut node = node(Options::default());
+        let after_first = node.apply(&desired(5, 1e-3));
+        let after_second = node.apply(&desired(5, 1e-3));
+        assert!(after_first);
+        assert!(!after_second);
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_refused_and_the_refusal_is_reported_once() {
+        let mut node = node(Options::default());
+        node.apply(&desired(5, 1e-3));
+        let is_status_due = node.apply(&desired(6, 7.0));
+        assert!(is_status_due);
         assert_eq!(node.u(), 1e-3);
         assert_eq!(node.revision, 5);
         let full = node.status(0).full.unwrap();
         assert_eq!(full.refused.unwrap().revision, 6);
-        assert!(!node.apply(&desired(6, 7.0)));
+
+        let is_status_due = node.apply(&desired(6, 7.0));
+        assert!(!is_status_due);
         assert_eq!(node.status(0).full, None, "nothing has changed since");
-        assert!(node.apply(&desired(7, 2e-3)));
-        assert_eq!(node.status(0).full.unwrap().refused, None);
+
+        node.apply(&desired(7, 2e-3));
+        let full = node.status(0).full.unwrap();
+        assert_eq!(full.refused, None);
     }
 
     #[test]
@@ -360,8 +379,18 @@ mod tests {
         let values = batch.reports.iter().map(|report| report.threshold.unwrap().value);
         let expected = [FIRST_U, FIRST_U, FIRST_U, 1e-2, 1e-2];
         assert_eq!(values.collect::<Vec<_>>(), expected);
-        let counts_each_frame = |report: &ClipReport| report.states.frames() == report.frames;
-        assert!(batch.reports.iter().all(counts_each_frame));
+    }
+
+    #[test]
+    fn the_states_of_a_report_count_each_of_its_frames_once() {
+        let node = node(Options {
+            backlog: 50,
+            ..Options::default()
+        });
+        let batch = node.batch(50, 0).unwrap();
+        for report in batch.reports {
+            assert_eq!(report.states.frames(), report.frames);
+        }
     }
 
     #[test]
@@ -369,6 +398,7 @@ mod tests {
         let started = 1_000_000_000_000_000_000;
         let options = Arc::new(Options {
             gather: 8,
+            seed: 1,
             ..Options::default()
         });
         let mut waiting = BTreeSet::new();

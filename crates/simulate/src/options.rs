@@ -175,8 +175,11 @@ mod tests {
         assert!(checked(&|options| options.backlog = u64::MAX).is_err());
         assert!(checked(&|options| options.worse_by = f64::NAN).is_err());
         assert!(checked(&|options| options.worse_by = -1.0).is_err());
-        // More than nodes.
-        assert!(checked(&|options| options.sessions = 200).is_err());
+        let more_sessions_than_nodes = |options: &mut Options| {
+            options.nodes = 3;
+            options.sessions = 4;
+        };
+        assert!(checked(&more_sessions_than_nodes).is_err());
         assert!(checked(&|options| options.clip_s = f64::NAN).is_err());
         assert!(checked(&|options| options.gather = 0).is_err());
     }

@@ -102,7 +102,7 @@ pub(crate) struct Player {
     requests: JoinSet<EndedRequest>,
     /// True while a batch is in flight.
     is_sending: bool,
-    /// The time to resend an unacknowledged batch.
+    /// The time to resend an unacknowledged batch; no other is sent before.
     resend_at: Option<Instant>,
     /// The pause after the next unacknowledged batch.
     pause: Duration,
@@ -179,9 +179,7 @@ impl Player {
                 }
                 () = sleep_until(next_clip), if !self.is_ending => {
                     next_clip += clip_period;
-                    self.node.made += 1;
-                    self.count(|counts| counts.made += 1);
-                    self.send_batch_of_at_least(self.options.gather);
+                    self.make_clip();
                 }
                 // Without a time to resend, the branch is off, and its time counts for nothing.
                 () = sleep_until(resend_at.unwrap_or(began)), if resend_at.is_some() => {
@@ -190,6 +188,8 @@ impl Player {
                 }
                 () = end.cancelled(), if !self.is_ending => {
                     self.is_ending = true;
+                    // As in a real node that stops, the end is also the end of a pause.
+                    self.resend_at = None;
                     self.send_batch_of_at_least(1);
                 }
             }
@@ -219,6 +219,13 @@ impl Player {
             })
             .wait()
             .map_err(SimulateError::at(format!("notice of {}", self.node.name)))
+    }
+
+    /// Makes the report of one more clip, and sends a batch if enough reports wait.
+    fn make_clip(&mut self) {
+        self.node.made += 1;
+        self.count(|counts| counts.made += 1);
+        self.send_batch_of_at_least(self.options.gather);
     }
 
     fn request_ended(&mut self, request: EndedRequest, began: Instant) {
@@ -261,7 +268,7 @@ impl Player {
         }
     }
 
-    /// Schedules an unacknowledged batch for resending after a growing pause.
+    /// Schedules an unacknowledged batch for resending, after a growing pause and not before the hub's time.
     fn send_later(&mut self, refusal: Option<ReportRefusal>) {
         let reason = refusal.as_ref().map(|refusal| refusal.reason);
         self.count(|counts| match reason {
@@ -270,11 +277,12 @@ impl Player {
             None => counts.no_reply += 1,
         });
         let hub_wants_ms = refusal.and_then(|refusal| refusal.retry_after_ms);
-        let pause = self.pause.max(Duration::from_millis(hub_wants_ms.unwrap_or(0)));
+        let at_least = Duration::from_millis(hub_wants_ms.unwrap_or(0));
         // Half to one and a half of the pause, so that nodes refused at the same time do not come back at the same time.
         let factor = 0.5 + unit(mix(self.node.made, now_ns()));
+        let pause = self.pause.mul_f64(factor).max(at_least);
         self.pause = (self.pause * 2).min(LONGEST_PAUSE);
-        self.resend_at = Some(Instant::now() + pause.mul_f64(factor));
+        self.resend_at = Some(Instant::now() + pause);
     }
 
     fn apply(&mut self, desired: &Desired) {
@@ -299,9 +307,10 @@ impl Player {
         }
     }
 
-    /// Sends the oldest reports if at least `least` wait and no batch is in flight.
+    /// Sends the oldest reports if at least `least` wait, no batch is in flight, and none waits to be resent.
     fn send_batch_of_at_least(&mut self, least: u64) {
-        if self.is_sending || self.node.waiting() < least {
+        let may_send = !self.is_sending && self.resend_at.is_none();
+        if !may_send || self.node.waiting() < least {
             return;
         }
         let Some(batch) = self.node.batch(MOST_REPORTS, now_ns()) else {
@@ -362,5 +371,89 @@ async fn ask<T: DeserializeOwned>(session: Session, key: String, payload: Vec<u8
     match reply.result() {
         Ok(sample) => read(&sample.payload().to_bytes()).map_err(|_| None),
         Err(error) => Err(read(&error.payload().to_bytes()).ok()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zenoh::query::Queryable;
+
+    const MINUTE: Duration = Duration::from_secs(60);
+
+    /// A node with 20 reports, which it sends twelve at a time, and a hub that refuses each batch for a minute.
+    struct Refused {
+        player: Player,
+        _hub: Queryable<()>,
+    }
+
+    impl Refused {
+        async fn new() -> Self {
+            let mut config = zenoh::Config::default();
+            config.insert_json5("listen/endpoints", "[]").unwrap();
+            config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+            let session = zenoh::open(config).await.unwrap();
+            let options = Arc::new(Options {
+                backlog: 20,
+                gather: 12,
+                seed: 1,
+                ..Options::default()
+            });
+            let node = SimNode::new(0, &options, now_ns());
+            let player = Player::new(session, node, options, Arc::default()).unwrap();
+            let refusal = serde_json::to_vec(&ReportRefusal {
+                v: VERSION,
+                reason: RefusalReason::Busy,
+                detail: "too many batches wait".to_owned(),
+                retry_after_ms: Some(MINUTE.as_millis() as u64),
+            });
+            let refusal = refusal.unwrap();
+            let hub = player
+                .session
+                .declare_queryable(player.keys.report())
+                .callback(move |query| query.reply_err(refusal.clone()).wait().unwrap())
+                .await
+                .unwrap();
+            Self { player, _hub: hub }
+        }
+
+        /// Sends a batch and waits until it is refused.
+        async fn send(&mut self) {
+            self.player.send_batch_of_at_least(12);
+            let ended = self.player.requests.join_next().await.unwrap().unwrap();
+            self.player.request_ended(ended, Instant::now());
+        }
+
+        fn counts(&self) -> Counts {
+            *self.player.totals.counts.lock()
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_new_clip_does_not_end_the_pause_after_a_refusal() {
+        let mut refused = Refused::new().await;
+        refused.send().await;
+        let resend_at = refused.player.resend_at;
+        assert!(resend_at.is_some());
+        refused.player.make_clip();
+        assert_eq!(refused.player.resend_at, resend_at);
+        let counts = refused.counts();
+        assert_eq!(counts.made, 21);
+        assert_eq!(counts.batches, 1);
+        assert_eq!(counts.busy, 1);
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_refused_node_does_not_come_back_before_the_hub_asks_it_to() {
+        let mut refused = Refused::new().await;
+        // The pauses are random.
+        for _ in 0..20 {
+            let began = Instant::now();
+            refused.player.resend_at = None;
+            refused.send().await;
+            let resend_at = refused.player.resend_at.unwrap();
+            assert!(resend_at >= began + MINUTE);
+        }
+        assert_eq!(refused.counts().busy, 20);
     }
 }
