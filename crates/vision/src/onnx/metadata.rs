@@ -109,11 +109,7 @@ impl Literal<'_> {
         let close = if is_dictionary { '}' } else { ']' };
         while !self.take(close) {
             let number = if is_dictionary {
-                let number = self.number()?;
-                if !self.take(':') {
-                    return Err(self.expected("`:`"));
-                }
-                number
+                self.key()?
             } else {
                 names.len()
             };
@@ -151,6 +147,16 @@ impl Literal<'_> {
         }
     }
 
+    /// Reads a class number and the colon after it.
+    fn key(&mut self) -> Result<usize, String> {
+        let number = self.number()?;
+        if self.take(':') {
+            Ok(number)
+        } else {
+            Err(self.expected("`:`"))
+        }
+    }
+
     /// Reads a class number, plain or quoted as in JSON, whole or written as `2.0`.
     fn number(&mut self) -> Result<usize, String> {
         let digits = if self.0.starts_with(['"', '\'']) {
@@ -158,14 +164,11 @@ impl Literal<'_> {
         } else {
             self.bare().to_owned()
         };
+        if digits.is_empty() {
+            return Err(self.expected("a class number"));
+        }
         let whole = digits.strip_suffix(".0").unwrap_or(&digits);
-        whole.parse().map_err(|_| {
-            if digits.is_empty() {
-                self.expected("a class number")
-            } else {
-                format!("`{digits}` is not a class number")
-            }
-        })
+        whole.parse().map_err(|_| format!("`{digits}` is not a class number"))
     }
 
     /// Reads signs up to the next that ends a value.
@@ -232,15 +235,26 @@ fn escaped(text: &str) -> Option<(char, &str)> {
     }
 }
 
+/// The number that the first `digits` hexadecimal digits mean.
+fn hexadecimal(text: &str, digits: usize) -> Option<u32> {
+    let written = text.get(..digits)?;
+    // `from_str_radix` alone would also take a sign.
+    if written.chars().all(|sign| sign.is_ascii_hexdigit()) {
+        u32::from_str_radix(written, 16).ok()
+    } else {
+        None
+    }
+}
+
 /// The sign whose number is in the first `digits` hexadecimal digits.
 fn by_code(text: &str, digits: usize) -> Option<(char, &str)> {
-    let code = u32::from_str_radix(text.get(..digits)?, 16).ok()?;
+    let code = hexadecimal(text, digits)?;
     Some((char::from_u32(code)?, &text[digits..]))
 }
 
-/// The sign that JSON writes as two halves: `d83d\\ude97`.
+/// The sign that JSON writes as two halves: `d83d\ude97`.
 fn surrogates(text: &str) -> Option<(char, &str)> {
-    let half = |text: &str| u16::from_str_radix(text.get(..4)?, 16).ok();
+    let half = |text: &str| u16::try_from(hexadecimal(text, 4)?).ok();
     let rest = text.get(4..)?.strip_prefix("\\u")?;
     let sign = char::decode_utf16([half(text)?, half(rest)?]).next()?.ok()?;
     Some((sign, &rest[4..]))
@@ -274,31 +288,57 @@ pub(super) mod tests {
         ] {
             assert_eq!(names(text).unwrap(), ["car", "driver's cab"], "{text}");
         }
-        let signs = "{\"0\": \"\\u884c\\u4eba\", \"1\": \"caf\\u00e9 \\ud83d\\ude97\", \"2\": \"car\\xa0red\"}";
-        assert_eq!(names(signs).unwrap(), ["行人", "café 🚗", "car\u{a0}red"]);
+    }
+
+    #[test]
+    fn names_have_signs_of_any_script_written_as_escapes() {
+        let names =
+            names(r#"{"0": "\u884c\u4eba", "1": "caf\u00e9 \ud83d\ude97", "2": "car\xa0red"}"#);
+        assert_eq!(names.unwrap(), ["行人", "café 🚗", "car\u{a0}red"]);
+    }
+
+    #[test]
+    fn a_name_may_be_a_number_without_quotes() {
         assert_eq!(names("{0: 0, 1: 7}").unwrap(), ["0", "7"]);
-        for none in [&[][..], &[("names", "None")]] {
-            assert_eq!(metadata(none).class_names(), Ok(None));
+    }
+
+    #[test]
+    fn a_model_whose_names_are_missing_or_none_has_no_names() {
+        let missing = metadata(&[]);
+        assert_eq!(missing.class_names(), Ok(None));
+        let none = metadata(&[("names", "None")]);
+        assert_eq!(none.class_names(), Ok(None));
+    }
+
+    #[test]
+    fn unreadable_names_are_reported_with_what_is_wrong_and_where() {
+        for (text, expected) in [
+            ("", "`{` or `[` is expected before ``"),
+            ("{}", "it has no names"),
+            ("{0: 'car', 2: 'bus'}", "class 1 has no name"),
+            ("{0: 'car', 0: 'bus'}", "class 0 is listed twice"),
+            ("{0: 'car'", "`,` or the end is expected before ``"),
+            ("{0: car}", "a quoted name is expected before `car}`"),
+            ("{0: 'car", "a name with an end is expected before `'car`"),
+            ("{0 'car'}", "`:` is expected before `'car'}`"),
+            ("{: 'car'}", "a class number is expected before `: 'car'}`"),
+            ("{-1: 'car'}", "`-1` is not a class number"),
+            ("['car'] and more", "the end is expected before `and more`"),
+            (
+                "{99999999999999999999999: 'car'}",
+                "`99999999999999999999999` is not a class number",
+            ),
+        ] {
+            assert_eq!(names(text).unwrap_err(), expected, "{text}");
         }
     }
 
     #[test]
-    fn unreadable_names_are_reported_with_the_place() {
-        for (text, part) in [
-            ("", "`{` or `[`"),
-            ("{}", "no name"),
-            ("{0: 'car', 2: 'bus'}", "class 1"),
-            ("{0: 'car', 0: 'bus'}", "twice"),
-            ("{0: 'car'", "`,`"),
-            ("{0: car}", "quoted"),
-            ("{0: 'car", "end"),
-            ("{0 'car'}", "`:`"),
-            ("{-1: 'car'}", "number"),
-            ("['car'] and more", "the end"),
-            ("{99999999999999999999999: 'car'}", "number"),
-        ] {
-            let error = names(text).unwrap_err();
-            assert!(error.contains(part), "{text}: {error}");
+    fn an_escape_is_hexadecimal_digits_without_a_sign() {
+        for name in [r"'\x+a'", r"'\u+041'", r"'\U+0000041'", r"'\ud83d\u+e97'"] {
+            let error = names(&format!("[{name}]")).unwrap_err();
+            let expected = format!("a name without such an escape is expected before `{name}]`");
+            assert_eq!(error, expected);
         }
     }
 

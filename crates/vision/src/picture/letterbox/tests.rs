@@ -61,7 +61,7 @@ fn place_in_largest(source: PictureSize, format: InputFormat) -> (Placement, Inp
 /// Compares the tensor with the reference in the picture of size `used` at row `top`, and with the margin's grey elsewhere.
 fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) {
     let mut letterbox = Letterbox::new(format);
-    // A picture of another shape before it leaves nothing in the margin.
+    // Nothing of an earlier picture, of another shape, may stay in the margin.
     let other = Picture::black(PictureSize::new(picture.size.height, picture.size.width));
     letterbox.fill(&other).unwrap();
     letterbox.fill(picture).unwrap();
@@ -77,7 +77,7 @@ fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) 
                     TensorLayout::Nchw => (plane as u32 * size.height + row) * size.width + column,
                     TensorLayout::Nhwc => (row * size.width + column) * 3 + plane as u32,
                 };
-                let found = f64::from(letterbox.tensor().to_floats()[index as usize]);
+                let value = f64::from(letterbox.tensor().to_floats()[index as usize]);
                 let inside = column < used.width && (top..top + used.height).contains(&row);
                 let expected = if inside {
                     reference(picture, channel, column, row - top, used)
@@ -85,12 +85,12 @@ fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) 
                     114.0
                 };
                 let found = match format.value_range {
-                    ValueRange::To255 => found,
-                    ValueRange::ToOne => found * 255.0,
+                    ValueRange::To255 => value,
+                    ValueRange::ToOne => value * 255.0,
                     ValueRange::ImageNet => {
                         let mean = [0.485, 0.456, 0.406][channel];
                         let deviation = [0.229, 0.224, 0.225][channel];
-                        (found * deviation + mean) * 255.0
+                        (value * deviation + mean) * 255.0
                     }
                 };
                 // Two passes, each with its own rounding.
@@ -149,12 +149,17 @@ fn a_picture_scaled_by_the_decoder_has_the_place_of_the_whole_one() {
         pixels: vec![7; 21 * 11 * 3],
     };
     for fit in FITS {
-        let [mut one, mut other] = [(); 2].map(|()| Letterbox::new(format(32, 32, fit)));
-        assert_eq!(one.fill(&whole).unwrap(), other.fill(&half).unwrap());
-        let count =
-            |value: f32| other.tensor().to_floats().iter().filter(|&&it| it == value).count();
-        let inside = 3 * 32 * if fit == Fit::Stretch { 32 } else { 16 };
-        assert_eq!([count(7.0), count(114.0)], [inside, 3 * 32 * 32 - inside]);
+        let format = format(32, 32, fit);
+        let mapping_of_whole = Letterbox::new(format).fill(&whole).unwrap();
+        let mut letterbox = Letterbox::new(format);
+        let mapping_of_half = letterbox.fill(&half).unwrap();
+        assert_eq!(mapping_of_half, mapping_of_whole);
+        let tensor = letterbox.tensor().to_floats();
+        let count = |value: f32| tensor.iter().filter(|&&found| found == value).count();
+        let rows = if fit == Fit::Stretch { 32 } else { 16 };
+        let inside = 3 * 32 * rows;
+        assert_eq!(count(7.0), inside);
+        assert_eq!(count(114.0), 3 * 32 * 32 - inside);
     }
 }
 
@@ -164,7 +169,8 @@ fn the_fraction_is_truncated_as_in_yolox() {
     let (placement, mapping) =
         place_in_largest(PictureSize::new(720, 576), format(416, 416, Fit::TopLeft));
     assert_eq!((placement.width, placement.height), (415, 332));
-    assert!((mapping.width - 416.0).abs() < 1e-9 && (mapping.height - 332.8).abs() < 1e-9);
+    assert!((mapping.width - 416.0).abs() < 1e-9);
+    assert!((mapping.height - 332.8).abs() < 1e-9);
 }
 
 #[test]
@@ -178,8 +184,10 @@ fn the_smallest_input_has_whole_strides_and_holds_the_picture() {
         (Fit::TopLeft, (416, 416), (500, 500), (416, 416)),
         (Fit::TopLeft, (416, 416), (3840, 1080), (416, 128)),
         (Fit::TopLeft, (416, 416), (8000, 1), (416, 32)),
-        // 256 of 416 exactly, and an error in the last bit of the scale.
+        // Exactly 256 rows.
         (Fit::Centre, (416, 416), (1300, 800), (416, 256)),
+        // 224 rows, which double precision makes 224.00000000000003.
+        (Fit::Centre, (416, 416), (1950, 1050), (416, 224)),
         (Fit::Centre, (640, 640), (1280, 720), (640, 384)),
         (Fit::Centre, (640, 384), (1280, 720), (640, 384)),
         (Fit::Centre, (640, 384), (720, 1280), (224, 384)),
@@ -194,11 +202,22 @@ fn the_smallest_input_has_whole_strides_and_holds_the_picture() {
             "{fit:?} {columns}x{rows} {picture:?}"
         );
     }
-    let half = PictureSize::new(224, 224);
+}
+
+#[test]
+fn the_smallest_input_has_no_side_below_the_least() {
+    let least = PictureSize::new(224, 224);
     let wide = PictureSize::new(3840, 1080);
-    let found = format(416, 416, Fit::TopLeft).smallest_for(wide, 32, half);
+    let found = format(416, 416, Fit::TopLeft).smallest_for(wide, 32, least);
     assert_eq!(found, PictureSize::new(416, 224));
-    let padding = format(416, 416, Fit::TopLeft).padding(wide, found);
+}
+
+#[test]
+fn the_padding_is_the_share_of_an_input_that_the_picture_does_not_cover() {
+    let wide = PictureSize::new(3840, 1080);
+    let format = format(416, 416, Fit::TopLeft);
+    // 3840 x 1080 pixels become 416 x 117.
+    let padding = format.padding(wide, PictureSize::new(416, 224));
     assert!((padding - (1.0 - 117.0 / 224.0)).abs() < 1e-9, "{padding}");
 }
 
@@ -209,15 +228,24 @@ fn a_picture_of_any_shape_is_taken_unless_it_is_empty_too_short_or_grey() {
         for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
             letterbox.fill(&picture(width, height)).unwrap();
         }
-        let error = letterbox.fill(&Picture::default()).unwrap_err().to_string();
+        let mut error_of = |picture: &Picture| letterbox.fill(picture).unwrap_err().to_string();
+        let error = error_of(&Picture::default());
         assert!(error.contains("the picture is empty (0x0)"), "{error}");
         let mut short = picture(8, 8);
         short.pixels.pop();
-        let error = letterbox.fill(&short).unwrap_err().to_string();
-        assert!(error.contains("192") && error.contains("191"), "{error}");
+        let error = error_of(&short);
+        assert!(
+            error.contains("an RGB picture of 8x8 needs 192 bytes and has 191"),
+            "{error}"
+        );
         let mut grey = picture(8, 8);
-        (grey.layout, grey.pixels) = (PixelLayout::Gray8, vec![7; 64]);
-        assert!(letterbox.fill(&grey).is_err());
+        grey.layout = PixelLayout::Gray8;
+        grey.pixels = vec![7; 64];
+        let error = error_of(&grey);
+        assert!(
+            error.contains("an RGB picture of 8x8 needs 192 bytes and has 64"),
+            "{error}"
+        );
     }
 }
 
@@ -235,7 +263,8 @@ proptest! {
         largest.fill(&picture).unwrap();
         let (cut, mapping) = largest.tensor().cut(format, picture.size, smallest);
         let mut filled = Letterbox::of_size(format, smallest);
-        prop_assert_eq!(filled.fill(&picture).unwrap(), mapping);
+        let mapping_of_smallest = filled.fill(&picture).unwrap();
+        prop_assert_eq!(mapping_of_smallest, mapping);
         prop_assert_eq!(filled.tensor(), &cut);
     }
 
@@ -249,7 +278,6 @@ proptest! {
         let (placement, mapping) = place_in_largest(PictureSize::new(width, height), format(columns, rows, fit));
         prop_assert!(placement.left + placement.width <= columns);
         prop_assert!(placement.top + placement.height <= rows);
-        // The picture's edges in the input are within a pixel of where its pixels were placed.
         let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
         let (scale_x, scale_y) = match fit {
             Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),
@@ -266,6 +294,7 @@ proptest! {
         for (found, expected) in found.into_iter().zip([x1 + w / 2.0, y1 + h / 2.0, w, h]) {
             prop_assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
         }
+        // The picture's edges in the input are within a pixel of where its pixels were placed.
         prop_assert!((f64::from(placement.width) - mapping.width).abs() <= 1.0 + 1e-9);
         prop_assert!((f64::from(placement.height) - mapping.height).abs() <= 1.0 + 1e-9);
     }
