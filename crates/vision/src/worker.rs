@@ -462,13 +462,16 @@ impl<M: Model> Task<M> {
                 return Ok(());
             }
             self.meter.update(|counts| counts.rebuilds += 1);
-            let Err(reason) = self.build().await? else {
+            let Err(error) = self.build().await? else {
                 info!(worker = self.settings.name, "the session has been rebuilt");
                 return Ok(());
             };
-            error!(worker = self.settings.name, %reason, "the session could not be rebuilt");
+            let reason = error.to_string();
+            error!(
+                worker = self.settings.name,
+                reason, "the session could not be rebuilt"
+            );
             self.meter.update(|counts| counts.rebuilds_failed += 1);
-            let reason = reason.to_string();
             if fault::device_is_lost(&reason) {
                 let provider = self.provider;
                 self.refuse_with(ModelStatus::Lost { reason, provider });
@@ -486,14 +489,15 @@ impl<M: Model> Task<M> {
         let mut patience = STILL_BUILDING;
         loop {
             match self.event(Some(begun + patience)).await? {
-                Event::Outcome(Outcome::Built(built)) => {
-                    return Ok(built.map(|(provider, facts)| {
-                        self.provider = provider;
-                        self.facts.get_or_insert_with(|| facts.clone());
-                        self.open(ModelStatus::Ready { provider });
-                        facts
-                    }));
+                Event::Outcome(Outcome::Built(Ok((provider, facts)))) => {
+                    self.provider = provider;
+                    if self.facts.is_none() {
+                        self.facts = Some(facts.clone());
+                    }
+                    self.open(ModelStatus::Ready { provider });
+                    return Ok(Ok(facts));
                 }
+                Event::Outcome(Outcome::Built(Err(error))) => return Ok(Err(error)),
                 Event::Outcome(Outcome::Ran(_)) | Event::Request | Event::Successor => {}
                 Event::Time => {
                     warn!(

@@ -110,7 +110,8 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         }
         tokio::spawn(async move {
             let served = task.serve().await;
-            end.send_replace(Some(task.finish(served).await));
+            let finished = task.finish(served).await;
+            end.send_replace(Some(finished));
         });
         Ok((worker, facts))
     }

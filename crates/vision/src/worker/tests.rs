@@ -164,7 +164,8 @@ type Asked = tokio::task::JoinHandle<Result<Answer<Asker>, RunError>>;
 
 impl Stage {
     fn ask(&self, camera: usize) -> Asked {
-        let (worker, camera) = (self.worker.clone(), Asker(camera));
+        let worker = self.worker.clone();
+        let camera = Asker(camera);
         tokio::spawn(async move {
             let shared = Arc::new(());
             let picture = (camera, Arc::clone(&shared));
@@ -201,6 +202,17 @@ impl Stage {
         let asked = self.begin(0).await;
         self.end(step);
         asked.await.unwrap()
+    }
+
+    /// Lets a run fail, and checks that the session is rebuilt after `pause_ms` and not before.
+    async fn fail_and_be_rebuilt_after(&mut self, pause_ms: u64) {
+        let rebuilds = self.counts().rebuilds;
+        self.fail(FAIL).await;
+        pass(Duration::from_millis(pause_ms - 1)).await;
+        assert_eq!(self.counts().rebuilds, rebuilds, "pause {pause_ms}");
+        pass(Duration::from_millis(1)).await;
+        self.until(|counts| counts.rebuilds, rebuilds + 1).await;
+        self.until_ready().await;
     }
 
     /// Like [`run`](Self::run), for a run that ends the model. Returns the caller's error.
@@ -404,24 +416,36 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     stage.until_waiting(4).await;
     pass(WAITED).await;
     let first = stage.answer(first).await;
-    assert_eq!((first.took, first.pictures), (WAITED, 1));
+    assert_eq!(first.took, WAITED);
+    assert_eq!(first.pictures, 1);
     assert_eq!(stage.next_run().await, [1, 2, 3]);
     pass(RUN).await;
     stage.end(Step::Answer);
     // The fourth has waited long enough for others.
     assert_eq!(stage.next_run().await, [4]);
     stage.end(Step::Answer);
-    for (camera, answer) in (1..).zip(asked) {
-        let answer = answer.await.unwrap().unwrap();
-        assert_eq!(answer.output, Asker(camera));
-        let expected = match camera {
-            4 => (WAITED + RUN, Duration::ZERO, 1),
-            _ => (WAITED, RUN, 3),
+    for (camera, asked) in (1..).zip(asked) {
+        let answer = asked.await.unwrap().unwrap();
+        let expected = if camera == 4 {
+            Answer {
+                output: Asker(camera),
+                queued: WAITED + RUN,
+                took: Duration::ZERO,
+                pictures: 1,
+            }
+        } else {
+            Answer {
+                output: Asker(camera),
+                queued: WAITED,
+                took: RUN,
+                pictures: 3,
+            }
         };
-        assert_eq!((answer.queued, answer.took, answer.pictures), expected);
+        assert_eq!(answer, expected);
     }
-    let counters = stage.counts();
-    assert_eq!((counters.completed, counters.batches), (5, 3));
+    let counts = stage.counts();
+    assert_eq!(counts.completed, 5);
+    assert_eq!(counts.batches, 3);
 }
 
 /// Cameras from 10 on have pictures of another size.
@@ -465,25 +489,22 @@ async fn a_late_batch_is_answered_for_all_its_pictures_and_if_it_then_fails_the_
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
     let counts = stage.counts();
-    assert_eq!((counts.timed_out, counts.rebuilds), (1, 1));
+    assert_eq!(counts.timed_out, 1);
+    assert_eq!(counts.rebuilds, 1);
     assert_eq!(stage.ended.recv().await, Some(()));
 }
 
 #[tokio::test(start_paused = true)]
 async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
     let mut stage = stage(settings()).await;
-    let doubling = (0..9).map(|failure| (100 << failure, false));
-    let longest = [(30_000, false), (30_000, false), (100, true), (200, false)];
-    for (rebuilds, (pause, good_run_before)) in (1..).zip(doubling.chain(longest)) {
-        if good_run_before {
-            stage.run(Step::Answer).await.unwrap();
-        }
-        stage.fail(FAIL).await;
-        pass(Duration::from_millis(pause - 1)).await;
-        assert_eq!(stage.counts().rebuilds, rebuilds - 1, "pause {pause}");
-        pass(Duration::from_millis(1)).await;
-        stage.until(|counts| counts.rebuilds, rebuilds).await;
-        stage.until_ready().await;
+    for pause_ms in [
+        100, 200, 400, 800, 1600, 3200, 6400, 12_800, 25_600, 30_000, 30_000,
+    ] {
+        stage.fail_and_be_rebuilt_after(pause_ms).await;
+    }
+    stage.run(Step::Answer).await.unwrap();
+    for pause_ms in [100, 200] {
+        stage.fail_and_be_rebuilt_after(pause_ms).await;
     }
 }
 
@@ -557,8 +578,9 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
     stage.end(Step::Answer);
     stage.answer(first).await;
     assert_eq!(last.await.unwrap().unwrap().output, Asker(2));
-    let counters = stage.counts();
-    assert_eq!((counters.completed, counters.cancelled), (2, 1));
+    let counts = stage.counts();
+    assert_eq!(counts.completed, 2);
+    assert_eq!(counts.cancelled, 1);
 }
 
 #[tokio::test(start_paused = true)]

@@ -56,12 +56,19 @@ fn work<M: Model>(
             Command::Build => {
                 let built = catch_unwind(AssertUnwindSafe(build))
                     .unwrap_or_else(|panic| Err(StartError::thread(name, message(&*panic))))
-                    .and_then(|built| checked(name, built, &mut first_facts));
-                Outcome::Built(built.map(|built| {
-                    let told = (built.provider(), built.facts());
-                    model = Some(built);
-                    told
-                }))
+                    .and_then(|built| checked(name, built, first_facts.as_ref()));
+                match built {
+                    Ok(built) => {
+                        let provider = built.provider();
+                        let facts = built.facts();
+                        if first_facts.is_none() {
+                            first_facts = Some(facts.clone());
+                        }
+                        model = Some(built);
+                        Outcome::Built(Ok((provider, facts)))
+                    }
+                    Err(error) => Outcome::Built(Err(error)),
+                }
             }
             Command::Run(pictures) => {
                 let ran = catch_unwind(AssertUnwindSafe(|| run(&mut model, &pictures)))
@@ -88,10 +95,9 @@ fn work<M: Model>(
 fn checked<M: Model>(
     name: &str,
     built: M,
-    first_facts: &mut Option<M::Facts>,
+    first_facts: Option<&M::Facts>,
 ) -> Result<M, StartError> {
-    let facts = built.facts();
-    if *first_facts.get_or_insert_with(|| facts.clone()) == facts {
+    if first_facts.is_none_or(|first| *first == built.facts()) {
         return Ok(built);
     }
     Err(StartError::new(

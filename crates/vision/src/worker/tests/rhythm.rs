@@ -34,9 +34,9 @@ impl Line {
     }
 
     /// When the next run may begin.
-    fn begins_at(&self) -> Option<u128> {
-        let time = self.queue.begins_at()?;
-        Some(time.duration_since(self.start).as_millis())
+    fn begins_at(&self) -> u64 {
+        let time = self.queue.begins_at().unwrap();
+        time.duration_since(self.start).as_millis() as u64
     }
 
     fn run(&mut self) -> Vec<usize> {
@@ -44,9 +44,9 @@ impl Line {
         batch.iter().filter_map(|request| Some(request.asker?.0)).collect()
     }
 
-    /// Lets two cameras ask so many times, the second so much `later`.
-    fn two_cameras(&mut self, times: u64, later: u64) {
-        for round in 0..times {
+    /// Lets cameras 0 and 1 ask in twelve rounds, camera 1 so much `later`.
+    fn twelve_rounds(&mut self, later: u64) {
+        for round in 0..12 {
             for (camera, at) in [(0, 0), (1, later)] {
                 self.ask(camera, round * GAP + at);
                 self.run();
@@ -56,40 +56,58 @@ impl Line {
 }
 
 #[test]
-fn a_picture_waits_for_one_that_is_about_to_come_and_a_lone_camera_never_waits() {
+fn a_lone_camera_never_waits() {
     let mut line = Line::new();
     for round in 0..3 {
         line.ask(0, round * GAP);
-        assert_eq!(line.begins_at(), Some(u128::from(round * GAP)));
-        assert_eq!(line.run(), [0]);
+        assert_eq!(line.begins_at(), round * GAP);
+        line.run();
     }
-    let mut line = Line::new();
-    // Of the second camera it is not known yet when it asks.
-    line.ask(1, 5);
-    line.run();
-    line.ask(0, GAP);
-    assert_eq!(line.begins_at(), Some(40));
-    let mut line = Line::new();
-    line.two_cameras(12, 5);
-    line.ask(0, 12 * GAP);
-    let begins = line.begins_at().unwrap();
-    assert!((485..=492).contains(&begins), "{begins}");
-    line.ask(1, 12 * GAP + 5);
-    assert_eq!(line.run(), [0, 1]);
-    // It stays away, and is not waited for again.
-    line.ask(0, 13 * GAP);
-    assert!(line.begins_at() > Some(520));
-    line.run();
-    line.ask(0, 14 * GAP);
-    assert_eq!(line.begins_at(), Some(560));
 }
 
 #[test]
-fn a_picture_waits_neither_longer_than_a_run_takes_nor_for_a_camera_without_a_rhythm() {
+fn a_picture_does_not_wait_for_a_camera_that_has_asked_only_once() {
     let mut line = Line::new();
-    line.two_cameras(12, RUN + 3);
+    line.ask(1, 5);
+    line.run();
+    line.ask(0, GAP);
+    assert_eq!(line.begins_at(), GAP);
+}
+
+#[test]
+fn a_picture_waits_for_one_that_is_about_to_come() {
+    let mut line = Line::new();
+    line.twelve_rounds(5);
+    let first = 12 * GAP;
+    let second = first + 5;
+    line.ask(0, first);
+    let begins = line.begins_at();
+    assert!((second..=first + RUN).contains(&begins), "{begins}");
+    line.ask(1, second);
+    assert_eq!(line.run(), [0, 1]);
+}
+
+#[test]
+fn a_camera_that_stays_away_is_waited_for_once_and_not_again() {
+    let mut line = Line::new();
+    line.twelve_rounds(5);
     line.ask(0, 12 * GAP);
-    assert_eq!(line.begins_at(), Some(480));
+    assert!(line.begins_at() > 12 * GAP);
+    line.run();
+    line.ask(0, 13 * GAP);
+    assert_eq!(line.begins_at(), 13 * GAP);
+}
+
+#[test]
+fn a_picture_does_not_wait_longer_than_a_run_takes() {
+    let mut line = Line::new();
+    line.twelve_rounds(RUN + 3);
+    line.ask(0, 12 * GAP);
+    assert_eq!(line.begins_at(), 12 * GAP);
+}
+
+#[test]
+fn a_picture_does_not_wait_for_a_camera_without_a_rhythm() {
     let mut line = Line::new();
     let mut at = 0;
     for gap in [7, 400, 30, 900, 5, 200, 1100, 11] {
@@ -98,19 +116,25 @@ fn a_picture_waits_neither_longer_than_a_run_takes_nor_for_a_camera_without_a_rh
         line.run();
     }
     line.ask(0, at + 1);
-    assert_eq!(line.begins_at(), Some(u128::from(at + 1)));
+    assert_eq!(line.begins_at(), at + 1);
 }
 
 #[test]
-fn a_run_has_one_of_the_numbers_of_pictures_that_the_model_was_warmed_up_with() {
+fn a_run_may_have_one_two_four_and_so_on_or_the_most_pictures() {
     let sizes = |largest| batch_sizes(largest).collect::<Vec<_>>();
     assert_eq!(sizes(0), [1]);
     assert_eq!(sizes(1), [1]);
     assert_eq!(sizes(3), [1, 2, 3]);
     assert_eq!(sizes(8), [1, 2, 4, 8]);
     assert_eq!(sizes(12), [1, 2, 4, 8, 12]);
+}
+
+#[test]
+fn a_run_has_one_of_the_numbers_of_pictures_that_the_model_was_warmed_up_with() {
     let mut line = Line::new();
-    (1..8).for_each(|camera| line.ask(camera, 0));
+    for camera in 1..8 {
+        line.ask(camera, 0);
+    }
     assert_eq!(line.run(), [1, 2, 3, 4]);
     assert_eq!(line.run(), [5, 6]);
     assert_eq!(line.run(), [7]);

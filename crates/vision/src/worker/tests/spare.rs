@@ -5,7 +5,8 @@ type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<Asker>, RunError>
 impl Stage {
     /// Requests a spare run of `camera`'s picture that begins within `wait`.
     pub(super) fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
-        let (worker, camera) = (self.worker.clone(), Asker(camera));
+        let worker = self.worker.clone();
+        let camera = Asker(camera);
         tokio::spawn(async move {
             let answer = async {
                 worker.idle().await?;
@@ -17,7 +18,7 @@ impl Stage {
 }
 
 #[tokio::test(start_paused = true)]
-async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_alone() {
+async fn frames_precede_a_spare_picture_which_is_dropped_if_its_time_is_over() {
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let spare = stage.ask_spare(7, Duration::from_millis(1500));
@@ -30,21 +31,34 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_a
     pass(Duration::from_millis(1500)).await;
     assert!(spare.await.unwrap().is_none());
     stage.answer(second).await;
+}
 
+#[tokio::test(start_paused = true)]
+async fn a_spare_picture_runs_alone_and_is_counted_apart() {
+    let mut stage = stage(settings()).await;
     let spare = stage.ask_spare(8, TIMEOUT);
     assert_eq!(stage.next_run().await, [8]);
     // A frame that arrives during the spare run is next.
-    let third = stage.ask(2);
+    let frame = stage.ask(2);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);
     let answer = spare.await.unwrap().unwrap().unwrap();
-    assert_eq!((answer.output, answer.pictures), (Asker(8), 1));
+    assert_eq!(answer.output, Asker(8));
+    assert_eq!(answer.pictures, 1);
     assert_eq!(stage.next_run().await, [2]);
-    stage.answer(third).await;
-    let counts = stage.counts();
-    assert_eq!((counts.completed, counts.batches, counts.spare), (3, 3, 1));
+    stage.answer(frame).await;
+    let expected = WorkerCounts {
+        completed: 1,
+        batches: 1,
+        spare: 1,
+        ..WorkerCounts::default()
+    };
+    assert_eq!(stage.counts(), expected);
+}
 
-    // After a failed one the next uses the new session.
+#[tokio::test(start_paused = true)]
+async fn after_a_spare_picture_that_fails_the_next_one_uses_a_new_session() {
+    let mut stage = stage(settings()).await;
     let spare = stage.ask_spare(7, TIMEOUT);
     assert_eq!(stage.next_run().await, [7]);
     stage.end(FAIL);
