@@ -258,13 +258,13 @@ impl Iterator for Drives {
 
     fn next(&mut self) -> Option<Self::Item> {
         let path = self.files.next()?;
-        Some(match probe(&path, &self.ffprobe) {
-            Ok(probed) => Ok(self.join(path, probed)),
+        match probe(&path, &self.ffprobe) {
+            Ok(probed) => Some(Ok(self.join(path, probed))),
             Err(reason) => {
                 self.has_hole = true;
-                Err(PassedOver { path, reason })
+                Some(Err(PassedOver { path, reason }))
             }
-        })
+        }
     }
 }
 

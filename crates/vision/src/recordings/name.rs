@@ -176,10 +176,12 @@ fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
             return (view, &stem[before.len()..]);
         }
     }
+    if !has_time {
+        return ("", "");
+    }
     let letters = lower.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
     let mark = &stem[stem.len() - letters..];
     let view = match lower.as_bytes()[stem.len() - letters..] {
-        _ if !has_time => "",
         [view] | [view, b'h' | b'l'] | [_, view] => of_letter(view),
         [_, view, b's'] => match of_letter(view) {
             "front" => "front (small copy)",

@@ -150,22 +150,28 @@ fn mp4_boxes(file: &mut File) -> io::Result<Vec<Mp4Box>> {
         file.seek(SeekFrom::Start(at))?;
         let mut head = Vec::with_capacity(16);
         file.by_ref().take(16).read_to_end(&mut head)?;
-        let (Some(size), Some(kind)) = (head.first_chunk::<4>(), head.get(4..8)) else {
+        let Some((size, behind)) = head.split_first_chunk::<4>() else {
             break;
         };
-        let kind = [kind[0], kind[1], kind[2], kind[3]];
-        let size = match (u32::from_be_bytes(*size), head.get(8..16)) {
-            (1, Some(long)) => u64::from_be_bytes(long.try_into().unwrap_or_default()),
+        let Some((kind, behind)) = behind.split_first_chunk::<4>() else {
+            break;
+        };
+        let size = match (u32::from_be_bytes(*size), behind.first_chunk::<8>()) {
+            // The size follows in eight bytes.
+            (1, Some(long)) => u64::from_be_bytes(*long),
             // To the end of the file.
             (0, _) => break,
-            (size, _) => u64::from(size),
+            (short, _) => u64::from(short),
         };
         let is_first = boxes.is_empty();
-        if size < 8 || (is_first && kind != *b"ftyp") {
+        if size < 8 || (is_first && kind != b"ftyp") {
             break;
         }
         at = at.saturating_add(size);
-        boxes.push(Mp4Box { kind, end: at });
+        boxes.push(Mp4Box {
+            kind: *kind,
+            end: at,
+        });
     }
     Ok(boxes)
 }
