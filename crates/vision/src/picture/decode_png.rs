@@ -41,7 +41,8 @@ pub(super) fn decode(
         }
     };
     let wide = depth == BitDepth::Sixteen;
-    let length = decoded_bytes(picture.size, channels * if wide { 2 } else { 1 }, limits)?;
+    let bytes_per_sample = if wide { 2 } else { 1 };
+    let length = decoded_bytes(picture.size, channels * bytes_per_sample, limits)?;
     if reader.output_buffer_size() != Some(length) {
         return Err(FrameFault::undecodable(format!(
             "the rows of the PNG file do not make a picture of {}",

@@ -314,14 +314,24 @@ mod tests {
         }
     }
 
-    #[test]
-    fn segments_before_the_header_are_skipped_whatever_they_hold() {
-        // Markers of a header and of an end, as in a thumbnail.
+    /// A file without an end, whose first segment holds markers of a header and of an end, as a thumbnail does.
+    fn without_end() -> Vec<u8> {
         let application = [0xFF, 0xE1, 0, 6, 0xFF, 0xC0, 0xFF, 0xD9];
         let scan = [0xFF, 0xDA, 0, 2, 1, 2, 3];
-        let cut = jpeg(&[&application, &[0xFF, 0xFF], &SOF, &scan]);
-        assert_eq!(jpeg_size(&cut).unwrap(), PictureSize::new(720, 288));
-        assert!(check_jpeg_is_whole(&cut).is_err());
-        assert!(check_jpeg_is_whole(&[&cut[..], &[0xFF, 0xD9, 0, 0]].concat()).is_ok());
+        jpeg(&[&application, &[0xFF, 0xFF], &SOF, &scan])
+    }
+
+    #[test]
+    fn segments_before_the_header_are_skipped_whatever_they_hold() {
+        let size = jpeg_size(&without_end()).unwrap();
+        assert_eq!(size, PictureSize::new(720, 288));
+    }
+
+    #[test]
+    fn a_jpeg_file_is_whole_if_an_end_comes_after_its_pixels() {
+        let mut file = without_end();
+        assert!(check_jpeg_is_whole(&file).is_err());
+        file.extend_from_slice(&[0xFF, 0xD9, 0, 0]);
+        assert!(check_jpeg_is_whole(&file).is_ok());
     }
 }

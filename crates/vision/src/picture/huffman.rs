@@ -86,9 +86,11 @@ mod tests {
             let codes: usize = table.lengths.iter().map(|&count| usize::from(count)).sum();
             assert_eq!(codes, table.values.len());
         }
-        assert_eq!(
-            with_tables(&Bytes::from_static(b"\xff\xd8\xff\xd9")).len(),
-            4 + 420
-        );
+    }
+
+    #[test]
+    fn the_tables_are_420_bytes() {
+        let empty = Bytes::from_static(b"\xff\xd8\xff\xd9");
+        assert_eq!(with_tables(&empty).len(), empty.len() + 420);
     }
 }

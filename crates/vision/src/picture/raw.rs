@@ -80,13 +80,13 @@ pub fn raw_picture_of_rows(
         }
         _ => None,
     };
-    let packed = packed.ok_or_else(|| {
-        FrameFault::undecodable(format!(
+    let Some(packed) = packed else {
+        return Err(FrameFault::undecodable(format!(
             "a {} picture of {size} with rows of {step} bytes does not fit in the {} bytes that came",
             format.as_str(),
             bytes.len()
-        ))
-    })?;
+        )));
+    };
     Ok(EncodedPicture {
         format,
         bytes: packed,
@@ -145,43 +145,39 @@ pub(super) struct Plane {
 mod tests {
     use super::*;
 
+    const SIX: [u8; 6] = [1, 2, 3, 4, 5, 6];
+
+    /// The pixels of a picture of these bytes.
+    fn made(format: PictureFormat, size: [u32; 2], bytes: &[u8]) -> Result<Vec<u8>, FrameFault> {
+        let [width, height] = size;
+        let size = PictureSize::new(width, height);
+        let bytes = Bytes::copy_from_slice(bytes);
+        let picture = raw_picture(format, size, bytes, &FrameLimits::default())?;
+        Ok(picture.bytes.to_vec())
+    }
+
     #[test]
-    fn padding_of_rows_is_removed_and_another_length_refused() {
-        let size = PictureSize::new(3, 2);
-        let made = |format, bytes: &[u8], size| {
-            let picture = raw_picture(
-                format,
-                size,
-                Bytes::copy_from_slice(bytes),
-                &FrameLimits::default(),
-            );
-            picture.map(|picture| picture.bytes.to_vec())
-        };
-        let grey = [1, 2, 3, 0, 4, 5, 6, 0];
-        assert_eq!(
-            made(PictureFormat::Gray8, &grey, size).unwrap(),
-            [1, 2, 3, 4, 5, 6]
-        );
-        assert_eq!(
-            made(PictureFormat::Gray8, &[1, 2, 3, 4, 5, 6], size).unwrap().len(),
-            6
-        );
+    fn padding_of_rows_is_removed_and_rows_without_it_stay() {
+        let padded = [1, 2, 3, 0, 4, 5, 6, 0];
+        assert_eq!(made(PictureFormat::Gray8, [3, 2], &padded).unwrap(), SIX);
+        assert_eq!(made(PictureFormat::Gray8, [3, 2], &SIX).unwrap(), SIX);
+    }
+
+    #[test]
+    fn a_length_that_padding_does_not_explain_is_refused() {
         for length in [5, 7, 9, 10, 2000] {
-            let refused =
-                made(PictureFormat::Gray8, &vec![0; length], size).unwrap_err().to_string();
-            assert!(refused.contains("must have 6 bytes"), "{refused}");
+            let refused = made(PictureFormat::Gray8, [3, 2], &vec![0; length]);
+            let error = refused.unwrap_err().to_string();
+            assert!(error.contains("must have 6 bytes"), "{error}");
         }
+    }
+
+    #[test]
+    fn padding_of_further_planes_is_removed_in_proportion() {
         // Two columns of four bytes: luma, then chroma at half the size.
-        let size = PictureSize::new(2, 2);
         let nv12 = [1, 2, 0, 0, 3, 4, 0, 0, 5, 6, 0, 0];
-        assert_eq!(
-            made(PictureFormat::Nv12, &nv12, size).unwrap(),
-            [1, 2, 3, 4, 5, 6]
-        );
+        assert_eq!(made(PictureFormat::Nv12, [2, 2], &nv12).unwrap(), SIX);
         let i420 = [1, 2, 0, 0, 3, 4, 0, 0, 5, 0, 6, 0];
-        assert_eq!(
-            made(PictureFormat::I420, &i420, size).unwrap(),
-            [1, 2, 3, 4, 5, 6]
-        );
+        assert_eq!(made(PictureFormat::I420, [2, 2], &i420).unwrap(), SIX);
     }
 }

@@ -23,14 +23,15 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<
     let mut line = Vec::new();
     loop {
         line.clear();
-        if stream.by_ref().take(LONGEST_HEAD_LINE).read_until(b'\n', &mut line)? == 0 {
+        let read = stream.by_ref().take(LONGEST_HEAD_LINE).read_until(b'\n', &mut line)?;
+        if read == 0 {
             return if in_head {
                 Err(io::Error::other("it ends inside a head"))
             } else {
                 Ok(None)
             };
         }
-        searched += line.len();
+        searched += read;
         if searched > HEAD_WITHIN {
             return Err(io::Error::other(format!(
                 "{HEAD_WITHIN} bytes without the head of a part: it is no multipart stream; end the pipeline with \
@@ -51,11 +52,11 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<
             }
             if name.eq_ignore_ascii_case("content-type") {
                 in_head = true;
-            }
-            if name.eq_ignore_ascii_case("content-type") && value != "image/jpeg" {
-                return Err(io::Error::other(format!(
-                    "its pictures are {value} and not image/jpeg: end the pipeline with an encoder, `! jpegenc`"
-                )));
+                if value != "image/jpeg" {
+                    return Err(io::Error::other(format!(
+                        "its pictures are {value} and not image/jpeg: end the pipeline with an encoder, `! jpegenc`"
+                    )));
+                }
             }
         }
         // Before a head there may be blank lines: the end of the part before it.
@@ -147,8 +148,7 @@ fn read_number(stream: &mut impl BufRead) -> io::Result<u32> {
             _ => break,
         }
     }
-    let number = text.parse();
-    number.map_err(|_| io::Error::other("a PPM file has no size"))
+    text.parse().map_err(|_| io::Error::other("a PPM file has no size"))
 }
 
 fn early(missing: u64) -> io::Error {
@@ -174,20 +174,32 @@ fn read_exactly(stream: &mut impl BufRead, length: u64, most: u64) -> io::Result
 mod tests {
     use super::*;
 
+    const PARTS: &[u8] = b"--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 5\r\n\r\nab\r\nc\r\n\
+                           --ffmpeg\r\nContent-Type: image/jpeg\r\nContent-Length: 1\r\n\r\nd\r\n--ffmpeg\r\n";
+
     #[test]
-    fn parts_are_split_by_their_headers() {
-        let stream = b"--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 5\r\n\r\nab\r\nc\r\n\
-                       --ffmpeg\r\nContent-Type: image/jpeg\r\nContent-Length: 1\r\n\r\nd\r\n--ffmpeg\r\n";
-        let mut reader = &stream[..];
-        assert_eq!(read_part(&mut reader, 9).unwrap().unwrap(), b"ab\r\nc");
-        assert_eq!(read_part(&mut reader, 9).unwrap().unwrap(), b"d");
-        assert!(read_part(&mut reader, 9).unwrap().is_none());
-        assert!(read_part(&mut &stream[..60], 9).is_err());
-        let error = read_part(&mut &stream[..], 4).unwrap_err().to_string();
-        assert_eq!(error, "a picture has 5 bytes; at most 4 are accepted");
-        let mut raw = &b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n"[..];
-        let error = read_part(&mut raw, 9).unwrap_err().to_string();
-        assert!(error.contains("! jpegenc"), "{error}");
+    fn parts_are_split_by_their_heads() {
+        let mut stream = PARTS;
+        let first = read_part(&mut stream, 9).unwrap();
+        assert_eq!(first.unwrap(), b"ab\r\nc");
+        let second = read_part(&mut stream, 9).unwrap();
+        assert_eq!(second.unwrap(), b"d");
+        let third = read_part(&mut stream, 9).unwrap();
+        assert_eq!(third, None);
+    }
+
+    #[test]
+    fn a_part_that_is_cut_short_or_too_long_or_of_another_kind_is_an_error() {
+        let cut_short = &PARTS[..60];
+        let raw = b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n";
+        for (mut stream, most, said) in [
+            (cut_short, 9, "it ends 2 bytes early"),
+            (PARTS, 4, "a picture has 5 bytes; at most 4 are accepted"),
+            (raw, 9, "! jpegenc"),
+        ] {
+            let error = read_part(&mut stream, most).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
     }
 
     /// A stream of another kind would be searched for a head without end, and a person would see no picture and no word.
@@ -213,16 +225,22 @@ mod tests {
         let first = next().unwrap().unwrap();
         assert_eq!(first.size, PictureSize::new(2, 1));
         assert_eq!(&first.bytes[..], b"abcdef");
-        assert_eq!(next().unwrap().unwrap_err().kind(), "oversized");
-        assert_eq!(&next().unwrap().unwrap().bytes[..], b"xyz");
-        assert!(next().is_none());
+        let second = next().unwrap();
+        assert_eq!(second.unwrap_err().kind(), "oversized");
+        let third = next().unwrap().unwrap();
+        assert_eq!(&third.bytes[..], b"xyz");
+        assert_eq!(next(), None);
+    }
+
+    #[test]
+    fn a_picture_that_is_cut_short_or_no_ppm_file_of_one_byte_per_colour_is_an_error() {
         for broken in [
             "P6\n2 1\n255\nabc",
             "P6\n2 1\n65535\nab",
             "P5\n1 1\n255\na",
             "P6\nx",
         ] {
-            let read = read_ppm(&mut broken.as_bytes(), &limits);
+            let read = read_ppm(&mut broken.as_bytes(), &FrameLimits::default());
             assert!(read.is_err(), "{broken}");
         }
     }
