@@ -42,13 +42,13 @@ impl EngineCache {
         let key = key(settings, model)
             .map_err(|error| StartError::unreadable(&settings.model, &error).because(error))?;
         let folder = root.join(key);
+        let unwritable = |error: std::io::Error| {
+            let reason = format!("{} cannot be written: {error}", folder.display());
+            StartError::configuration("detector.gpu.engine_cache", reason)
+        };
+        std::fs::create_dir_all(&folder).map_err(unwritable)?;
         let name = settings.model.display().to_string();
-        std::fs::create_dir_all(&folder)
-            .and_then(|()| std::fs::write(folder.join(MODEL), name))
-            .map_err(|error| {
-                let reason = format!("{} cannot be written: {error}", folder.display());
-                StartError::configuration("detector.gpu.engine_cache", reason)
-            })?;
+        std::fs::write(folder.join(MODEL), name).map_err(unwritable)?;
         forget_all_but_the_last(root, &folder);
         Ok(Some(Self {
             is_built: has_engine(&folder),
@@ -184,6 +184,12 @@ mod tests {
         EngineCache::open(settings, &model).unwrap().unwrap()
     }
 
+    #[track_caller]
+    fn assert_all_differ(keys: &[String]) {
+        let distinct: BTreeSet<_> = keys.iter().collect();
+        assert_eq!(distinct.len(), keys.len(), "{keys:?}");
+    }
+
     #[test]
     fn an_engine_belongs_to_weights_precision_and_shapes_and_not_to_a_name() {
         let folder = tempfile::tempdir().unwrap();
@@ -196,13 +202,13 @@ mod tests {
         let of_first = key_now(&first).unwrap();
         let renamed = settings(file("renamed.onnx", b"first"));
         assert_eq!(key_now(&renamed).unwrap(), of_first);
-        let mut keys = BTreeSet::from([of_first]);
+        let mut keys = vec![of_first];
         // Trained again, under the old name.
         file("model.onnx", b"again");
-        assert!(keys.insert(key_now(&first).unwrap()));
+        keys.push(key_now(&first).unwrap());
         let mut half = first.clone();
         half.gpu.fp16 = true;
-        assert!(keys.insert(key_now(&half).unwrap()));
+        keys.push(key_now(&half).unwrap());
         for batch in [4, 8] {
             let of_batch = |batch| format!("images:{batch}x3x32x64");
             let shapes = ShapeRange {
@@ -214,8 +220,9 @@ mod tests {
                 shapes: Some(shapes),
                 ..first.clone()
             };
-            assert!(keys.insert(key_now(&batched).unwrap()));
+            keys.push(key_now(&batched).unwrap());
         }
+        assert_all_differ(&keys);
     }
 
     #[test]
@@ -233,15 +240,31 @@ mod tests {
         std::fs::write(&model, bytes).unwrap();
         // Without the file of weights there is no key, so that no engine is taken for this model's.
         assert!(key_now(&settings(model.clone())).is_err());
-        let mut keys = BTreeSet::new();
+        let mut keys = Vec::new();
         for values in ["first", "again"] {
             std::fs::write(folder.path().join(&new_name), values).unwrap();
-            assert!(keys.insert(key_now(&settings(model.clone())).unwrap()));
+            keys.push(key_now(&settings(model.clone())).unwrap());
         }
+        assert_all_differ(&keys);
     }
 
     #[test]
-    fn engines_of_the_last_models_are_kept_and_the_time_of_the_last_build() {
+    fn the_time_of_the_last_build_is_that_of_any_model() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model.onnx");
+        let mut settings = settings(model.clone());
+        settings.gpu.engine_cache = Some(folder.path().join("engines"));
+        let [one, other] = ["one", "other"].map(|weights| {
+            std::fs::write(&model, weights).unwrap();
+            cache_now(&settings)
+        });
+        assert_eq!(one.last_build(), None);
+        one.built_in(Duration::from_secs(570));
+        assert_eq!(other.last_build(), Some(Duration::from_secs(570)));
+    }
+
+    #[test]
+    fn engines_of_the_models_used_last_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("engines");
         let model = folder.path().join("model.onnx");
@@ -251,7 +274,8 @@ mod tests {
         for weights in 0..6_u64 {
             std::fs::write(&model, weights.to_string()).unwrap();
             let cache = cache_now(&settings);
-            assert!(!cache.is_built() && cache.folder().starts_with(&root));
+            assert!(!cache.is_built());
+            assert!(cache.folder().starts_with(&root));
             std::fs::write(cache.folder().join("part_sm87.engine"), "").unwrap();
             let used = SystemTime::UNIX_EPOCH + Duration::from_secs(weights);
             let of_model = std::fs::File::options().append(true).open(cache.folder().join(MODEL));
@@ -261,8 +285,5 @@ mod tests {
         let kept: Vec<_> = caches.iter().map(|cache| cache.folder().exists()).collect();
         assert_eq!(kept, [false, false, true, true, true, true]);
         assert!(cache_now(&settings).is_built());
-        assert_eq!(caches[5].last_build(), None);
-        caches[5].built_in(Duration::from_secs(570));
-        assert_eq!(caches[4].last_build(), Some(Duration::from_secs(570)));
     }
 }

@@ -183,7 +183,14 @@ mod tests {
             let kind = other_kind(&file).unwrap();
             assert!(kind.contains(said), "{kind}");
         }
-        assert!(other_kind(folder.path()).unwrap().contains("folder"));
+        let kind = other_kind(folder.path()).unwrap();
+        assert!(kind.contains("it is a folder"), "{kind}");
+    }
+
+    #[test]
+    fn an_onnx_file_is_taken_for_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model.onnx");
         // The field `ir_version`, then a name.
         std::fs::write(&file, b"\x08\x08\x12\x07pytorch").unwrap();
         assert_eq!(other_kind(&file), None);

@@ -189,21 +189,28 @@ mod tests {
     }
 
     #[test]
-    fn the_first_folder_with_a_library_and_its_highest_version_win_and_without_one_all_are_named() {
-        let folders: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
-        let paths: Vec<&Path> = folders.iter().map(|folder| folder.path()).collect();
+    fn without_a_library_all_places_and_the_ways_out_are_named() {
+        let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let paths = folders.each_ref().map(|folder| folder.path());
         put(paths[0], "libonnxruntime_providers_shared.so");
         let error = search(None, &paths).find().unwrap_err().to_string();
         let places = paths.iter().map(|path| path.to_str().unwrap());
         for part in places.chain(["make onnxruntime", VARIABLE]) {
             assert!(error.contains(part), "{error}");
         }
-        put(paths[1], "libonnxruntime.so.1.9.0");
-        let newest = put(paths[1], "libonnxruntime.so.1.31.1");
-        put(paths[2], "libonnxruntime.so");
-        assert_eq!(search(None, &paths).find().unwrap(), newest);
-        let plain = put(paths[1], "libonnxruntime.so");
-        assert_eq!(search(None, &paths).find().unwrap(), plain);
+    }
+
+    #[test]
+    fn the_first_folder_with_a_library_wins_and_in_it_the_plain_name_or_else_the_highest_version() {
+        let first = tempfile::tempdir().unwrap();
+        let second = tempfile::tempdir().unwrap();
+        let folders = [first.path(), second.path()];
+        put(first.path(), "libonnxruntime.so.1.9.0");
+        let newest = put(first.path(), "libonnxruntime.so.1.31.1");
+        put(second.path(), "libonnxruntime.so");
+        assert_eq!(search(None, &folders).find().unwrap(), newest);
+        let plain = put(first.path(), "libonnxruntime.so");
+        assert_eq!(search(None, &folders).find().unwrap(), plain);
     }
 
     #[test]

@@ -152,19 +152,21 @@ impl Signature {
             side(columns, offered.map(|size| size.width))?,
             side(rows, offered.map(|size| size.height))?,
         );
-        match wanted {
-            Some(wanted) if wanted != size => {
-                Err(format!("its input is {size} and cannot be {wanted}"))
-            }
-            _ if size.pixels() > MOST_PIXELS => Err(format!(
-                "its input of {size} has more than 4096x4096 pixels"
-            )),
-            _ => Ok(PictureInput {
-                size,
-                layout,
-                takes_bytes: input.element == ElementType::Uint8,
-            }),
+        if let Some(wanted) = wanted
+            && wanted != size
+        {
+            return Err(format!("its input is {size} and cannot be {wanted}"));
         }
+        if size.pixels() > MOST_PIXELS {
+            return Err(format!(
+                "its input of {size} has more than 4096x4096 pixels"
+            ));
+        }
+        Ok(PictureInput {
+            size,
+            layout,
+            takes_bytes: input.element == ElementType::Uint8,
+        })
     }
 
     /// True if the sides of the picture input are open, and neither `wanted` nor the metadata name any.
@@ -193,10 +195,12 @@ impl Signature {
         let mut shapes = Vec::new();
         for input in &self.inputs {
             // What each dimension is where the model leaves it open.
-            let when_open = match input.shape.as_slice() {
-                _ if input.is_beside_picture() => [batch, 2, 2, 2],
-                [_, _, _, 3] => [batch, height, width, 3],
-                _ => [batch, 3, height, width],
+            let when_open = if input.is_beside_picture() {
+                [batch, 2, 2, 2]
+            } else if let [_, _, _, 3] = *input.shape.as_slice() {
+                [batch, height, width, 3]
+            } else {
+                [batch, 3, height, width]
             };
             let mut sides = Vec::new();
             for (&side, open) in input.shape.iter().zip(when_open) {

@@ -10,15 +10,14 @@ use std::thread::Builder;
 /// If the driver is older than that of CUDA 12.1, which brought the call, or refuses.
 pub(super) fn let_threads_sleep(device: u32) -> Result<(), String> {
     // On a thread of its own: the call binds its thread to the device, and a driver without the call is a panic there.
-    let thread = Builder::new().name("cuda-waiting".to_owned()).spawn(move || {
+    let spawned = Builder::new().name("cuda-waiting".to_owned()).spawn(move || {
         let context = CudaContext::new(device as usize)?;
         context.set_flags(CUctx_flags::CU_CTX_SCHED_BLOCKING_SYNC)
     });
-    match thread.map(|thread| thread.join()) {
-        Ok(Ok(Ok(()))) => Ok(()),
-        Ok(Ok(Err(error))) => Err(error.to_string()),
-        Ok(Err(_)) => Err("its driver is older than that of CUDA 12.1".to_owned()),
-        Err(error) => Err(error.to_string()),
+    let thread = spawned.map_err(|error| error.to_string())?;
+    match thread.join() {
+        Ok(asked) => asked.map_err(|error| error.to_string()),
+        Err(_) => Err("its driver is older than that of CUDA 12.1".to_owned()),
     }
 }
 
@@ -60,14 +59,17 @@ mod tests {
 
     /// What the test above is answered by a driver built with `options`, and what that was asked for.
     fn asked_of_a_driver(folder: &Path, options: &[&str]) -> (String, String) {
-        let (source, asked) = (folder.join("driver.c"), folder.join("asked"));
+        let source = folder.join("driver.c");
+        let asked = folder.join("asked");
         std::fs::write(&source, DRIVER).unwrap();
         let mut compile = Command::new("cc");
         compile
             .args(["-shared", "-fPIC", "-o"])
             .arg(folder.join("libcuda.so"))
-            .arg(source);
-        assert!(compile.args(options).status().unwrap().success());
+            .arg(source)
+            .args(options);
+        let compiled = compile.status().unwrap();
+        assert!(compiled.success());
         let mut ask = Command::new(std::env::current_exe().unwrap());
         let this = "onnx::waiting::tests::whatever_the_driver_is_there_is_an_answer";
         ask.args(["--exact", "--nocapture", this]);
