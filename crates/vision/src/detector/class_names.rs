@@ -329,9 +329,17 @@ mod tests {
         ] {
             assert_eq!(of_file(bytes).unwrap(), ["person", "car"]);
         }
-        // A name may begin with a number that is not its place.
+    }
+
+    #[test]
+    fn a_name_may_begin_with_a_number_that_is_not_its_place() {
         assert_eq!(of_file(b"4x4\n18-wheeler").unwrap(), ["4x4", "18-wheeler"]);
-        assert!(of_file(b"\xff\x00\x01").is_err());
+    }
+
+    #[test]
+    fn a_class_file_that_is_no_text_is_an_error() {
+        let error = of_file(b"\xff\x00\x01").unwrap_err();
+        assert!(error.contains("not text"), "{error}");
     }
 
     #[test]
@@ -359,6 +367,7 @@ mod tests {
         };
         assert_eq!(names("coco")[2], "car");
         assert_eq!(names("coco91")[3], "car");
-        assert!(are_of_coco(&names("coco")) && are_of_coco(&names("coco91")));
+        assert!(are_of_coco(&names("coco")));
+        assert!(are_of_coco(&names("coco91")));
     }
 }

@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_head_is_named_or_its_columns_are_listed_and_a_model_s_name_is_answered_with_the_head() {
+    fn what_is_no_head_is_answered_with_the_head_that_is_meant_or_all_heads() {
         for (text, said) in [
             ("yolov8", "you mean `yolo`"),
             ("RF-DETR", "you mean `detr`"),
@@ -225,9 +225,17 @@ mod tests {
             let error = text.parse::<HeadSetting>().unwrap_err();
             assert!(error.contains(said), "{error}");
         }
+    }
+
+    #[test]
+    fn a_head_is_named_or_its_columns_are_listed() {
         for text in ["auto", "d-fine", "columns=batch x1 y1 x2 y2 class score"] {
             assert_eq!(text.parse::<HeadSetting>().unwrap().to_string(), text);
         }
+    }
+
+    #[test]
+    fn columns_are_written_as_they_were_read_from_a_file() {
         let written = r#"{"columns":"x1 y1 x2 y2 score class"}"#;
         let setting: HeadSetting = serde_json::from_str(written).unwrap();
         assert_eq!(setting.name(), HeadName::Columns);

@@ -165,14 +165,16 @@ impl Inputs {
         let model = &self.0.model;
         let smallest = model.smallest_for(source);
         let mut uses = self.0.uses.lock();
-        let found = uses.entry(key(smallest)).or_insert_with(|| {
-            let found = model.first_use(source);
-            if found.is_wasteful() && found.choice == Choice::Fixed {
-                warn!("{found}");
-            }
-            found
-        });
-        found.input().size
+        if let Some(known) = uses.get(&key(smallest)) {
+            return known.input().size;
+        }
+        let first = model.first_use(source);
+        if first.is_wasteful() && first.choice == Choice::Fixed {
+            warn!("{first}");
+        }
+        let size = first.input().size;
+        uses.insert(key(smallest), first);
+        size
     }
 
     /// The smallest input for a picture of `source`, if it is still being compared.
@@ -252,10 +254,10 @@ impl fmt::Display for InputUse {
                     f,
                     "; {smallest} ({least}) is used once it has found the same in the first pictures"
                 )?;
-                match agreement.pictures {
-                    0 => Ok(()),
-                    _ => write!(f, " ({agreement} so far)"),
+                if agreement.pictures > 0 {
+                    write!(f, " ({agreement} so far)")?;
                 }
+                Ok(())
             }
             Choice::Smallest(agreement) if agreement.pictures > 0 => {
                 let largest = self.largest;

@@ -185,7 +185,8 @@ impl PrecisionProof {
         if provider == ExecutionProvider::Cpu || found.is_empty() {
             return None;
         }
-        if self.compared.lock().replace(provider) == Some(provider) {
+        let compared_last = self.compared.lock().replace(provider);
+        if compared_last == Some(provider) {
             return None;
         }
         let proof = self.clone();
@@ -327,7 +328,9 @@ mod tests {
         };
         let mut network = DetectorNetwork::open(&config).unwrap();
         let mut green = Picture::black(network.input_format().size);
-        green.pixels.iter_mut().skip(1).step_by(3).for_each(|value| *value = 204);
+        for value in green.pixels.iter_mut().skip(1).step_by(3) {
+            *value = 204;
+        }
         let picture = network.preparation().prepare(&green).unwrap();
         let mut boxes = network.detect(&picture).unwrap().detections;
         let proof = PrecisionProof::new(&config);

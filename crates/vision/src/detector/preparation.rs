@@ -224,14 +224,18 @@ mod tests {
         let holds = |one: &PreparedPicture, value: f32| {
             one.tensor().to_floats().iter().all(|&it| it == value)
         };
-        let (first, second) = (prepared(1), prepared(2));
-        assert!(holds(&first, 1.0) && holds(&second, 2.0));
+        let first = prepared(1);
+        let second = prepared(2);
+        assert!(holds(&first, 1.0));
+        assert!(holds(&second, 2.0));
         let buffer = first.tensor().to_floats().as_ptr();
         drop(first);
         let third = prepared(3);
-        assert!(holds(&third, 3.0) && holds(&second, 2.0));
+        assert!(holds(&third, 3.0));
+        assert!(holds(&second, 2.0));
         assert_eq!(third.tensor().to_floats().as_ptr(), buffer);
-        drop((second, third));
+        drop(second);
+        drop(third);
         assert_eq!(preparation.0.idle.lock().len(), 2);
     }
 

@@ -117,15 +117,24 @@ impl Reader {
         head.read(outputs, confidence, &mut self.candidates)?;
         let classes = &self.classes;
         self.candidates.retain_mut(|candidate| {
-            let reported = classes.reported_as(candidate.class).flatten();
-            candidate.class = reported.unwrap_or(candidate.class);
-            reported.is_some()
+            let Some(Some(class)) = classes.reported_as(candidate.class) else {
+                return false;
+            };
+            candidate.class = class;
+            true
         });
         if head.overlaps {
             suppress(&mut self.candidates, self.suppression);
         }
-        let found = self.candidates.iter();
-        Ok(found.filter_map(|candidate| detection(candidate, mapping)).collect())
+        Ok(self.mapped(mapping))
+    }
+
+    /// The candidates as detections in the source picture, without those outside it.
+    fn mapped(&self, mapping: InputMapping) -> Vec<Detection> {
+        self.candidates
+            .iter()
+            .filter_map(|candidate| detection(candidate, mapping))
+            .collect()
     }
 
     /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`.
@@ -137,17 +146,21 @@ impl Reader {
         let classes = &self.classes;
         let others = &mut self.others;
         others.clear();
-        self.candidates.retain_mut(|candidate| {
-            let Some(reported) = classes.reported_as(candidate.class) else {
-                counts.unknown_class += 1;
-                return false;
-            };
-            match reported {
-                Some(class) => candidate.class = class,
-                None => others.push(*candidate),
-            }
-            reported.is_some()
-        });
+        self.candidates
+            .retain_mut(|candidate| match classes.reported_as(candidate.class) {
+                Some(Some(class)) => {
+                    candidate.class = class;
+                    true
+                }
+                Some(None) => {
+                    others.push(*candidate);
+                    false
+                }
+                None => {
+                    counts.unknown_class += 1;
+                    false
+                }
+            });
         let are_all_reported = others.is_empty() && counts.unknown_class == 0;
         if head.overlaps {
             suppress(others, self.suppression);
@@ -158,11 +171,7 @@ impl Reader {
         } else {
             keep_best(&mut self.candidates, self.suppression.most)
         };
-        let detections: Vec<_> = self
-            .candidates
-            .iter()
-            .filter_map(|candidate| detection(candidate, mapping))
-            .collect();
+        let detections = self.mapped(mapping);
         counts.outside = (self.candidates.len() - detections.len()) as u64;
         self.meter.update(|total| {
             total.rejected += counts.rejected;
@@ -289,6 +298,11 @@ mod tests {
             parts.get(&outputs, 1).iter().map(|it| (it.shape, it.values)).collect();
         let expected: [(&[i64], &[f32]); 2] = [(&[1, 3, 2], &boxes[6..]), (&[1, 1], &[0.6])];
         assert_eq!(second, expected);
+    }
+
+    #[test]
+    fn outputs_for_another_number_of_pictures_are_an_error() {
+        let outputs = [view(&[2, 3, 2], &[0.0; 12]), view(&[2, 1], &[0.5, 0.6])];
         let error = Parts::of(&outputs, 3).err().unwrap().to_string();
         assert!(error.contains("[2, 3, 2] for a batch of 3"), "{error}");
     }

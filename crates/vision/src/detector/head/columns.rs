@@ -329,11 +329,13 @@ impl Finished {
             }
             let (x1, x2) = Self::sides(&self.across, number);
             let (y1, y2) = Self::sides(&self.down, number);
-            let class = match self.class {
+            let class = if batch != 0.0 {
                 // There is one picture, number 0: another number is something else.
-                _ if batch != 0.0 => None,
-                Some(place) => class_number(number(place)),
-                None => Some(ClassId(0)),
+                None
+            } else if let Some(place) = self.class {
+                class_number(number(place))
+            } else {
+                Some(ClassId(0))
             };
             each(Corners { x1, y1, x2, y2 }, score, class);
         }

@@ -263,12 +263,13 @@ impl ReadOutputs for Dense {
         let total = anchors.boxes.len() / anchors.box_row;
         // One in ten: a few are faults.
         let are_many = 10 * anchors.rows().filter(is_negative).count() > total;
-        match writing {
-            Writing::Cells(_) if are_many => return Evidence::For,
-            Writing::Unit(_) if are_many => {
-                return against("the sides of its boxes are negative: it is not decoded");
-            }
-            _ => {}
+        if are_many {
+            return match writing {
+                Writing::Cells(_) => Evidence::For,
+                Writing::Unit(_) => {
+                    against("the sides of its boxes are negative: it is not decoded")
+                }
+            };
         }
         let mut of_a_class = 0_usize;
         let mut of_none = 0_usize;

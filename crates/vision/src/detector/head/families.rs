@@ -87,17 +87,7 @@ pub(super) const FAMILIES: [Family; 10] = [
         fit: Stretch,
         color_order: Rgb,
         value_range: ImageNet,
-        bind: |signature, size| {
-            let [boxes, logits] = detr::RF_DETR;
-            if let (Ok(_), Ok((_, labels))) = (signature.output(boxes), signature.output(logits)) {
-                labels.float()?;
-            }
-            detr::bind(
-                &[detr::RF_DETR, detr::OTHERS[0], detr::OTHERS[1]],
-                signature,
-                size,
-            )
-        },
+        bind: bind_detr,
         looks_other: |signature, size| match detr::bind(&[detr::RF_DETR], signature, size) {
             Ok(_) => None,
             Err(_) => Some(RANGE_IS_OPEN.to_owned()),
@@ -110,20 +100,7 @@ pub(super) const FAMILIES: [Family; 10] = [
         color_order: Rgb,
         value_range: ToOne,
         bind: bind_rt_detr,
-        looks_other: |signature, size| {
-            let [output] = signature.outputs.as_slice() else {
-                return Some(RANGE_IS_OPEN.to_owned());
-            };
-            let queries = output.shape.get(1).copied().unwrap_or_default();
-            // An open number is that of a run if anything else could have it.
-            let are_cells = queries != -1 && are_anchors(queries, size);
-            if are_cells || queries > MOST_BOXES {
-                return Some(format!(
-                    "the number of its rows is {queries}, and not some hundred"
-                ));
-            }
-            None
-        },
+        looks_other: rt_detr_looks_other,
     },
     Family {
         name: HeadName::DFine,
@@ -368,10 +345,12 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
         return listed("batch x1 y1 x2 y2 score class", signature, size);
     };
     let is_boxes = |shape: &[i64]| matches!(shape, [1 | -1, _, 4]);
-    let (boxes, scores) = match (is_boxes(&first.shape), is_boxes(&second.shape)) {
-        (true, _) => (0, 1),
-        (_, true) => (1, 0),
-        _ => return Err("none of its outputs is [1, cells, 4]".to_owned()),
+    let (boxes, scores) = if is_boxes(&first.shape) {
+        (0, 1)
+    } else if is_boxes(&second.shape) {
+        (1, 0)
+    } else {
+        return Err("none of its outputs is [1, cells, 4]".to_owned());
     };
     let of_boxes = signature.outputs[boxes].float()?;
     let (anchors, classes) = rows_with_classes(&signature.outputs[scores].float()?.shape, 0)?;
@@ -388,6 +367,33 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
         scores: Some(scores),
     };
     Ok(dense(reader))
+}
+
+fn bind_detr(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let [boxes, logits] = detr::RF_DETR;
+    if let (Ok(_), Ok((_, labels))) = (signature.output(boxes), signature.output(logits)) {
+        labels.float()?;
+    }
+    detr::bind(
+        &[detr::RF_DETR, detr::OTHERS[0], detr::OTHERS[1]],
+        signature,
+        size,
+    )
+}
+
+fn rt_detr_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
+    let [output] = signature.outputs.as_slice() else {
+        return Some(RANGE_IS_OPEN.to_owned());
+    };
+    let queries = output.shape.get(1).copied().unwrap_or_default();
+    // An open number is that of a run if anything else could have it.
+    let are_cells = queries != -1 && are_anchors(queries, size);
+    if are_cells || queries > MOST_BOXES {
+        return Some(format!(
+            "the number of its rows is {queries}, and not some hundred"
+        ));
+    }
+    None
 }
 
 /// A score per class for each query, or the best of them with their classes, as Ultralytics has exported since it writes the

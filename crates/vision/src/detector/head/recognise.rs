@@ -19,7 +19,9 @@ pub fn recognise(
     names: Option<usize>,
 ) -> Result<Recognised, String> {
     let metadata = &signature.metadata;
-    if let Some(task) = metadata.get("task").filter(|&task| task != "detect") {
+    if let Some(task) = metadata.get("task")
+        && task != "detect"
+    {
         return Err(refused(
             signature,
             input,
@@ -48,11 +50,11 @@ pub fn recognise(
         });
     }
     let all: Vec<_> = FAMILIES.iter().map(|family| family.name).collect();
-    let Recognised(mut heads) = fitting(signature, input, &all).map_err(|_| {
-        let reason = unread::reason(signature)
-            .unwrap_or_else(|| "it looks like none of the models that are read".into());
-        refused(signature, input, reason)
-    })?;
+    let Ok(Recognised(mut heads)) = fitting(signature, input, &all) else {
+        let known = unread::reason(signature);
+        let reason = known.as_deref().unwrap_or("it looks like none of the models that are read");
+        return Err(refused(signature, input, reason));
+    };
     // How many numbers a head takes to be before the class scores decides how many classes it sees.
     let known = names.unwrap_or(80);
     if heads.iter().any(|head| head.fits_names(known)) {
@@ -72,9 +74,8 @@ fn fitting(
     for family in FAMILIES.iter().filter(|family| names.contains(&family.name)) {
         match looks_like(family, signature, input) {
             Ok(head) => heads.push(head),
-            Err(reason) => {
-                first_reason.get_or_insert(reason);
-            }
+            Err(reason) if first_reason.is_none() => first_reason = Some(reason),
+            Err(_) => {}
         }
     }
     if heads.is_empty() {
@@ -154,7 +155,9 @@ impl Recognised {
         if let [name] = names.as_slice() {
             return Ok(*name);
         }
-        if let Some(name) = by_convention(signature).filter(|name| names.contains(name)) {
+        if let Some(name) = by_convention(signature)
+            && names.contains(&name)
+        {
             return Ok(name);
         }
         if names.is_empty() {

@@ -57,7 +57,8 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     let views: Vec<_> =
         outputs.iter().map(|&(shape, values)| TensorView { shape, values }).collect();
     let mut candidates = Vec::new();
-    (head.read(&views, 0.5, &mut candidates).unwrap(), candidates)
+    let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
+    (rejected, candidates)
 }
 
 /// What one of the [`heads`] with one output reads from these rows of numbers `step` apart, all others being 0.
@@ -98,6 +99,10 @@ fn a_dynamic_number_of_boxes_may_change_from_frame_to_frame() {
     }
 }
 
+fn sigmoid(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
 #[test]
 fn detr_keeps_the_best_pairs_of_query_and_class_and_no_more_than_there_are_queries() {
     let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
@@ -105,25 +110,34 @@ fn detr_keeps_the_best_pairs_of_query_and_class_and_no_more_than_there_are_queri
     let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
     // The first query has both classes; of the last, one is below the threshold and one is the fourth best.
     let logits = [2.0, 0.5, -3.0, 1.0, 0.2, -0.1];
-    let read =
+    let read_both =
         |boxes: &[f32], logits: &[f32]| read(&head, &[(&[1, 3, 4], boxes), (&[1, 3, 2], logits)]);
-    let (rejected, found) = read(&boxes, &logits);
+    let (rejected, found) = read_both(&boxes, &logits);
     assert_eq!(rejected, 0);
-    let score = |logit: f32| 1.0 / (1.0 + (-logit).exp());
     assert_candidates(
         &found,
         &[
-            ([50.0, 25.0, 150.0, 75.0], 0, score(2.0)),
-            ([0.0, 0.0, 100.0, 100.0], 1, score(1.0)),
-            ([50.0, 25.0, 150.0, 75.0], 1, score(0.5)),
+            ([50.0, 25.0, 150.0, 75.0], 0, sigmoid(2.0)),
+            ([0.0, 0.0, 100.0, 100.0], 1, sigmoid(1.0)),
+            ([50.0, 25.0, 150.0, 75.0], 1, sigmoid(0.5)),
         ],
     );
-    let (mut no_box, mut no_logit) = (boxes, logits);
+}
+
+#[test]
+fn detr_takes_a_query_whole_or_not_at_all() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 2, 4]), ("labels", &[1, 2, 2])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0];
+    let logits = [2.0, 0.5, -3.0, 1.0];
+    let mut no_box = boxes;
     no_box[2] = f32::NAN;
+    let mut no_logit = logits;
     no_logit[1] = f32::NAN;
     for (boxes, logits) in [(no_box, logits), (boxes, no_logit)] {
-        let (rejected, found) = read(&boxes, &logits);
-        assert_eq!((rejected, found.len()), (1, 2));
+        let (rejected, found) = read(&head, &[(&[1, 2, 4], &boxes), (&[1, 2, 2], &logits)]);
+        assert_eq!(rejected, 1);
+        assert_candidates(&found, &[([0.0, 0.0, 100.0, 100.0], 1, sigmoid(1.0))]);
     }
 }
 
@@ -202,7 +216,8 @@ fn a_box_with_an_impossible_number_is_rejected_and_counted() {
 
 #[test]
 fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
-    let numbers = [0.0; 42 * 14];
+    // Enough for two pictures of the largest, 42 rows of seven numbers.
+    let numbers = [0.0; 2 * 42 * 7];
     for (head, shapes) in heads() {
         let attempt = |views: &[TensorView<'_>]| head.read(views, 0.5, &mut Vec::new());
         assert!(attempt(&views(&shapes, &numbers)).is_ok(), "{head:?}");
@@ -247,7 +262,8 @@ proptest! {
             let mut candidates = Vec::new();
             let views = views(&shapes, &numbers);
             let rejected = head.read(&views, confidence, &mut candidates).unwrap();
-            let rows = if head.name == HeadName::Detr { 8 } else { 42 };
+            // Four queries with two classes; of the others none has more than 42 rows.
+            let rows = if head.name == HeadName::Detr { 4 * 2 } else { 42 };
             prop_assert!(rejected as usize + candidates.len() <= rows);
             for Candidate { corners, confidence: score, class } in candidates {
                 let Corners { x1, y1, x2, y2 } = corners;

@@ -117,16 +117,16 @@ mod tests {
     #[test]
     fn a_sure_box_pairs_with_a_less_sure_one_in_its_place_and_of_its_class_only() {
         let [car, bus] = [2, 5];
-        for (other, paired) in [
-            (found(0.5, car, 0.3), 1),
-            (found(0.51, car, 0.9), 2),
-            (found(0.5, bus, 0.9), 0),
-            (found(0.6, car, 0.9), 0),
+        for (other, boxes, paired) in [
+            (found(0.5, car, 0.3), 1, 1),
+            (found(0.51, car, 0.9), 2, 2),
+            (found(0.5, bus, 0.9), 2, 0),
+            (found(0.6, car, 0.9), 2, 0),
         ] {
             let one = [found(0.5, car, 0.6)];
             let agreement = Agreement::of(&one, &[other], 0.5);
             assert_eq!(agreement.paired, paired, "{other:?}");
-            assert_eq!(agreement.boxes, 1 + u32::from(other.confidence > 0.5));
+            assert_eq!(agreement.boxes, boxes, "{other:?}");
         }
     }
 
