@@ -33,25 +33,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_verdict_beyond_the_longest_run_since_the_detector_ran_is_overruled() {
+    fn a_verdict_beyond_the_longest_run_is_overruled() {
         let mut run = EmptyRun::new(2);
-        for (frame, (verdict, is_overruled)) in (1..).zip([
-            (true, false),
-            // A verdict of "not empty" ends the run.
-            (false, false),
-            (true, false),
-            (true, false),
-            (true, true),
-            (true, false),
-            (true, false),
-            (true, true),
-        ]) {
-            assert_eq!(run.limit(verdict), verdict && !is_overruled, "{frame}");
-        }
+        // "Not empty" ends a run, and so does an overruled verdict.
+        let verdicts = [true, false, true, true, true, true, true, true];
+        let limited = verdicts.map(|empty| run.limit(empty));
+        assert_eq!(limited, [true, false, true, true, false, true, true, false]);
+    }
+
+    #[test]
+    fn without_a_longest_run_no_verdict_is_overruled() {
         let mut unlimited = EmptyRun::new(0);
-        assert!((0..1000).all(|_| unlimited.limit(true)));
+        for _ in 0..1000 {
+            let empty = unlimited.limit(true);
+            assert!(empty);
+        }
+    }
+
+    #[test]
+    fn a_run_of_the_detector_ends_the_run_of_empty_verdicts() {
+        let mut run = EmptyRun::new(2);
         for _ in 0..10 {
-            assert!(run.limit(true));
+            let empty = run.limit(true);
+            assert!(empty);
             run.detector_ran();
         }
     }
