@@ -205,13 +205,14 @@ impl SimNode {
                 let u = wanted_u.clamp(*HELD_WITHIN.start(), *HELD_WITHIN.end());
                 self.set_u(u);
                 held.actual = Some(skip_rate(u));
-                held.status = Some(if wanted_u > u {
+                let status = if wanted_u > u {
                     TargetStatus::CannotBeMet
                 } else if wanted_u < u {
                     TargetStatus::MoreThanKept
                 } else {
                     TargetStatus::Held
-                });
+                };
+                held.status = Some(status);
             }
             Target::Recall(_) => held.status = Some(TargetStatus::NoAudit),
             Target::Watts(_) => held.status = Some(TargetStatus::NoPower),

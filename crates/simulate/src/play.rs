@@ -401,17 +401,17 @@ mod tests {
             });
             let node = SimNode::new(0, &options, now_ns());
             let player = Player::new(session, node, options, Arc::default()).unwrap();
-            let refusal = serde_json::to_vec(&ReportRefusal {
+            let refusal = ReportRefusal {
                 v: VERSION,
                 reason: RefusalReason::Busy,
                 detail: "too many batches wait".to_owned(),
                 retry_after_ms: Some(MINUTE.as_millis() as u64),
-            });
-            let refusal = refusal.unwrap();
+            };
+            let json = serde_json::to_vec(&refusal).unwrap();
             let hub = player
                 .session
                 .declare_queryable(player.keys.report())
-                .callback(move |query| query.reply_err(refusal.clone()).wait().unwrap())
+                .callback(move |query| query.reply_err(json.clone()).wait().unwrap())
                 .await
                 .unwrap();
             Self { player, _hub: hub }
