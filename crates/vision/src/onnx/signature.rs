@@ -219,14 +219,15 @@ impl Signature {
 
     /// The only input that is a picture; all others must be known inputs beside it.
     fn only_picture(&self) -> Result<&TensorSpec, String> {
-        let mut pictures = self.inputs.iter().filter(|input| !input.is_beside_picture());
-        match (pictures.next(), pictures.next()) {
-            (Some(picture), None) => Ok(picture),
-            (None, _) => Err(format!(
+        let pictures: Vec<_> =
+            self.inputs.iter().filter(|input| !input.is_beside_picture()).collect();
+        match pictures.as_slice() {
+            [picture] => Ok(picture),
+            [] => Err(format!(
                 "none of its {} inputs is a picture",
                 self.inputs.len()
             )),
-            (Some(_), Some(other)) => {
+            [_, other, ..] => {
                 let known: Vec<_> =
                     BESIDE_PICTURE.iter().map(|beside| format!("`{}`", beside.name)).collect();
                 Err(format!(

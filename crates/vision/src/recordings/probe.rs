@@ -74,9 +74,9 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
         if said.contains("moov atom not found") {
             return Err(NO_INDEX.to_owned());
         }
-        let said = said.lines().last().unwrap_or("it cannot be read");
+        let last_line = said.lines().last().unwrap_or("it cannot be read");
         let path = path.to_string_lossy();
-        return Err(said.replace(&format!("{path}: "), ""));
+        return Err(last_line.replace(&format!("{path}: "), ""));
     }
     let answer: FfprobeAnswer = serde_json::from_slice(&output.stdout)
         .map_err(|error| format!("ffprobe's answer cannot be read: {error}"))?;

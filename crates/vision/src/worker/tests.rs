@@ -35,7 +35,8 @@ impl WorkerInput for Scene {
     /// Cameras from 10 on have pictures of another size.
     fn size(&self) -> PictureSize {
         let Asker(camera) = self.0;
-        PictureSize::new(1, 1 + u32::from(camera >= 10))
+        let height = if camera < 10 { 1 } else { 2 };
+        PictureSize::new(1, height)
     }
 }
 
@@ -246,8 +247,8 @@ impl Stage {
     }
 
     async fn until_fault(&self, fits: fn(&ModelStatus) -> bool) -> String {
-        let mut status = self.worker.status.clone();
-        let status = status.wait_for(fits).await.unwrap();
+        let mut watched = self.worker.status.clone();
+        let status = watched.wait_for(fits).await.unwrap();
         status.fault().unwrap().to_owned()
     }
 
@@ -411,11 +412,11 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
     // No other camera has asked before, so the run does not wait.
-    let first = stage.begin(0).await;
+    let asked_first = stage.begin(0).await;
     let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
     stage.until_waiting(4).await;
     pass(WAITED).await;
-    let first = stage.answer(first).await;
+    let first = stage.answer(asked_first).await;
     assert_eq!(first.took, WAITED);
     assert_eq!(first.pictures, 1);
     assert_eq!(stage.next_run().await, [1, 2, 3]);

@@ -298,11 +298,12 @@ impl Finished {
         let [(first, start), (second, end)] = columns;
         let start = f64::from(number(*start));
         let end = f64::from(number(*end));
-        let is_length = matches!(second, Column::Width | Column::Height);
-        match first {
-            Column::CentreX | Column::CentreY => (start - end / 2.0, start + end / 2.0),
-            _ if is_length => (start, start + end),
-            _ => (start, end),
+        if matches!(first, Column::CentreX | Column::CentreY) {
+            (start - end / 2.0, start + end / 2.0)
+        } else if matches!(second, Column::Width | Column::Height) {
+            (start, start + end)
+        } else {
+            (start, end)
         }
     }
 

@@ -90,7 +90,8 @@ impl Dense {
     fn anchors<'a>(&self, outputs: &[TensorView<'a>]) -> Result<Anchors<'a>, String> {
         let missing = || format!("the model returned {} outputs", outputs.len());
         let boxes = outputs.get(self.boxes).ok_or_else(missing)?;
-        let before = 4 + usize::from(self.has_objectness);
+        // Before the scores come four sides and perhaps the objectness.
+        let before = if self.has_objectness { 5 } else { 4 };
         match self.scores {
             None => {
                 let row = before + self.classes;

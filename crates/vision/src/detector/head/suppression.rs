@@ -96,13 +96,13 @@ mod tests {
     fn textbook(mut open: Vec<Candidate>, overlap: f64) -> Vec<Candidate> {
         let mut kept = Vec::new();
         while !open.is_empty() {
-            let mut best = 0;
+            let mut place = 0;
             for index in 1..open.len() {
-                if open[index].confidence > open[best].confidence {
-                    best = index;
+                if open[index].confidence > open[place].confidence {
+                    place = index;
                 }
             }
-            let best = open.remove(best);
+            let best = open.remove(place);
             open.retain(|other| {
                 other.class != best.class
                     || best.corners.intersection_over_union(other.corners) <= overlap
