@@ -1,12 +1,9 @@
 //! Reads a sequence of pictures from a folder, a tar archive, or memory.
 
-use super::source::{FrameSource, clip_name, plain_name};
+use super::archive::{ArchivedPicture, archived_clips};
+use super::source::{FrameSource, clip_name};
 use crate::error::EvalError;
-use albireo_vision::picture::{
-    EncodedPicture, FrameLimits, is_picture_file, picture_files, picture_of_file, read_picture_file,
-};
-use std::fs::File;
-use std::os::unix::fs::FileExt;
+use albireo_vision::picture::{EncodedPicture, picture_files, read_picture_file};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -31,20 +28,8 @@ struct Member {
 #[derive(Clone, Debug)]
 enum Location {
     File(PathBuf),
-    /// In an archive.
-    Archive {
-        archive: Arc<ArchiveFile>,
-        offset: u64,
-        length: usize,
-    },
+    Archive(ArchivedPicture),
     Memory(EncodedPicture),
-}
-
-/// An archive that is open for reading.
-#[derive(Debug)]
-struct ArchiveFile {
-    path: PathBuf,
-    file: File,
 }
 
 impl Pictures {
@@ -82,55 +67,24 @@ impl Pictures {
         Ok(Self::new(clip_name(path), pictures.collect(), rate))
     }
 
-    /// Reads the JPEG and PNG files of a tar archive in their order in it; each folder is a clip.
+    /// Reads the JPEG and PNG files of a tar archive, one folder after the other; each is a clip, with its pictures in their
+    /// order in the archive.
     ///
     /// # Errors
     /// When the archive cannot be read or has no pictures.
     pub fn of_archive(path: &Path, rate: f64) -> Result<Self, EvalError> {
-        let unreadable = |error: std::io::Error| EvalError::content(path, error);
-        let file = File::open(path).map_err(unreadable)?;
-        let archive = Arc::new(ArchiveFile {
-            path: path.to_path_buf(),
-            file,
-        });
-        let name = clip_name(path);
-        let mut pictures: Vec<Member> = Vec::new();
-        let mut members = tar::Archive::new(&archive.file);
-        for entry in members.entries_with_seek().map_err(unreadable)? {
-            let entry = entry.map_err(unreadable)?;
-            let inside = entry.path().map_err(unreadable)?.into_owned();
-            if !entry.header().entry_type().is_file() || !is_picture_file(&inside) {
-                continue;
-            }
-            let length = usize::try_from(entry.size()).unwrap_or(usize::MAX);
-            if length > FrameLimits::default().max_payload_bytes {
-                let what = format!("{} is too large for a picture", inside.display());
-                return Err(EvalError::content(path, what));
-            }
-            let folder = inside.parent().and_then(Path::file_name);
-            let clip_name = match folder {
-                Some(folder) => plain_name(&folder.to_string_lossy()),
-                None => name.clone(),
-            };
+        let mut pictures = Vec::new();
+        for clip in archived_clips(path)? {
             // Pictures of one clip share the memory of its name.
-            let clip = match pictures.last().and_then(|last| last.clip.as_ref()) {
-                Some(last) if **last == *clip_name => Arc::clone(last),
-                _ => clip_name.into(),
-            };
-            pictures.push(Member {
-                clip: Some(clip),
-                location: Location::Archive {
-                    archive: Arc::clone(&archive),
-                    offset: entry.raw_file_position(),
-                    length,
-                },
-            });
+            let name: Arc<str> = clip.name.into();
+            for picture in clip.pictures {
+                pictures.push(Member {
+                    clip: Some(Arc::clone(&name)),
+                    location: Location::Archive(picture),
+                });
+            }
         }
-        if pictures.is_empty() {
-            let what = "it has no JPEG or PNG files";
-            return Err(EvalError::content(path, what));
-        }
-        Ok(Self::new(name, pictures, rate))
+        Ok(Self::new(clip_name(path), pictures, rate))
     }
 
     /// Splits the sequence into its clips.
@@ -156,13 +110,12 @@ impl FrameSource for Pictures {
 
     fn picture_name(&self) -> Option<String> {
         let last = self.pictures.get(self.passed.checked_sub(1)?)?;
-        Some(match &last.location {
+        let name = match &last.location {
             Location::File(file) => file.display().to_string(),
-            Location::Archive { archive, .. } => {
-                format!("{}, picture {}", archive.path.display(), self.passed)
-            }
+            Location::Archive(picture) => picture.name(self.passed),
             Location::Memory(_) => format!("{}, picture {}", self.name, self.passed),
-        })
+        };
+        Some(name)
     }
 
     fn rate(&self) -> f64 {
@@ -178,27 +131,12 @@ impl FrameSource for Pictures {
             return Ok(None);
         };
         self.passed += 1;
-        Ok(Some(match &member.location {
-            Location::Memory(picture) => picture.clone(),
+        let picture = match &member.location {
             Location::File(file) => read_picture_file(file)?,
-            Location::Archive {
-                archive,
-                offset,
-                length,
-            } => {
-                let ArchiveFile { path, file } = &**archive;
-                let mut bytes = vec![0; *length];
-                file.read_exact_at(&mut bytes, *offset)
-                    .map_err(|error| EvalError::content(path, error))?;
-                picture_of_file(bytes.into(), &FrameLimits::default()).map_err(|fault| {
-                    EvalError::new(format!(
-                        "{}, picture {}: a frame cannot be sent: {fault}",
-                        path.display(),
-                        self.passed
-                    ))
-                })?
-            }
-        }))
+            Location::Archive(picture) => picture.read(self.passed)?,
+            Location::Memory(picture) => picture.clone(),
+        };
+        Ok(Some(picture))
     }
 
     fn rewind(&mut self) -> Result<(), EvalError> {
@@ -232,6 +170,26 @@ mod tests {
         file
     }
 
+    /// An archive with a small picture of each of these names.
+    fn archive_of(names: &[&str]) -> tempfile::NamedTempFile {
+        let members: Vec<_> = names.iter().map(|name| (*name, jpeg(8))).collect();
+        archive(&members)
+    }
+
+    /// The clips of an archive, each with its number of pictures.
+    fn clips(file: &tempfile::NamedTempFile) -> Vec<(String, u64)> {
+        let all = Pictures::of_archive(file.path(), 5.0).unwrap();
+        let mut clips = Vec::new();
+        for clip in all.into_clips() {
+            clips.push((clip.name().to_owned(), clip.frames().unwrap()));
+        }
+        clips
+    }
+
+    fn named(clips: &[(&str, u64)]) -> Vec<(String, u64)> {
+        clips.iter().map(|(name, frames)| ((*name).to_owned(), *frames)).collect()
+    }
+
     #[test]
     fn each_folder_of_an_archive_is_a_clip() {
         let file = archive(&[
@@ -241,7 +199,9 @@ mod tests {
             ("night/1.jpg", jpeg(24)),
         ]);
         let mut all = Pictures::of_archive(file.path(), 5.0).unwrap();
-        assert_eq!((all.frames(), all.rate(), all.clip()), (Some(3), 5.0, None));
+        assert_eq!(all.frames(), Some(3));
+        assert_eq!(all.rate(), 5.0);
+        assert_eq!(all.clip(), None);
         for _ in 0..2 {
             for (clip, side) in [("busy", 8), ("busy", 16), ("night", 24)] {
                 assert_eq!(all.next().unwrap().unwrap().size.width, side);
@@ -250,24 +210,90 @@ mod tests {
             assert!(all.next().unwrap().is_none());
             all.rewind().unwrap();
         }
-        let clips = all.into_clips();
-        let named: Vec<_> = clips.iter().map(|clip| (clip.name(), clip.frames())).collect();
-        assert_eq!(named, [("busy", Some(2)), ("night", Some(1))]);
+        assert_eq!(clips(&file), named(&[("busy", 2), ("night", 1)]));
     }
 
     #[test]
-    fn an_unplayable_archive_is_rejected_by_name() {
+    fn folders_of_one_name_in_different_places_are_different_clips() {
+        let file = archive_of(&["a/images/1.jpg", "a/images/2.jpg", "b/images/1.jpg"]);
+        assert_eq!(clips(&file), named(&[("a-images", 2), ("b-images", 1)]));
+        let mut all = Pictures::of_archive(file.path(), 5.0).unwrap();
+        for clip in ["a-images", "a-images", "b-images"] {
+            all.next().unwrap();
+            assert_eq!(all.clip(), Some(clip));
+        }
+    }
+
+    #[test]
+    fn sequences_of_motchallenge_in_an_archive_have_the_names_of_their_folders() {
+        let file = archive_of(&[
+            "train/MOT17-02/img1/000001.jpg",
+            "train/MOT17-04/img1/000001.jpg",
+            "train/MOT17-04/img1/000002.jpg",
+        ]);
+        assert_eq!(clips(&file), named(&[("MOT17-02", 1), ("MOT17-04", 2)]));
+    }
+
+    #[test]
+    fn pictures_of_a_folder_are_one_clip_wherever_they_lie_in_the_archive() {
+        // tar writes a folder's entries in any order: here a folder comes between two pictures beside it.
+        let file = archive_of(&["drive/1.jpg", "drive/more/1.jpg", "drive/2.jpg"]);
+        assert_eq!(clips(&file), named(&[("drive", 2), ("more", 1)]));
+    }
+
+    #[test]
+    fn no_two_clips_of_an_archive_have_the_same_name() {
+        let long = "x".repeat(99);
+        let [left, right] = ["left", "right"].map(|side| format!("{long}/{side}/images/1.jpg"));
+        for names in [
+            // Names that are the same when they are made valid, and as many letters long.
+            ["北京/1.jpg", "上海/1.jpg"],
+            ["a/images/1.jpg", "a-images/1.jpg"],
+            ["a/1.jpg", "a/img1/1.jpg"],
+            ["a/img1/1.jpg", "b/a/img1/1.jpg"],
+            [".a/1.jpg", "a/1.jpg"],
+            [&left, &right],
+        ] {
+            let found = clips(&archive_of(&names));
+            assert_eq!(found.len(), 2, "{names:?}: {found:?}");
+            assert_ne!(found[0].0, found[1].0, "{names:?}");
+        }
+    }
+
+    /// The error for an archive, when it is opened or when its first picture is read, without the archive's path.
+    fn fault(file: &tempfile::NamedTempFile) -> String {
+        let text = match Pictures::of_archive(file.path(), 5.0) {
+            Ok(mut opened) => opened.next().unwrap_err().to_string(),
+            Err(error) => error.to_string(),
+        };
+        let path = file.path().to_str().unwrap();
+        let what = text.strip_prefix(path).expect("the archive is named first");
+        what.to_owned()
+    }
+
+    #[test]
+    fn an_archive_without_pictures_is_rejected_by_name() {
         let empty = archive(&[("busy/readme.txt", b"hello".to_vec())]);
-        let error = Pictures::of_archive(empty.path(), 5.0).unwrap_err();
-        let error = error.to_string();
-        assert!(error.contains("no JPEG or PNG files"), "{error}");
-        let torn = archive(&[("busy/1.jpg", jpeg(64))]);
-        torn.as_file().set_len(700).unwrap();
-        let mut opened = Pictures::of_archive(torn.path(), 5.0).unwrap();
-        let error = opened.next().unwrap_err().to_string();
-        assert!(error.contains(".tar"), "{error}");
+        assert_eq!(fault(&empty), ": it has no JPEG or PNG files");
+    }
+
+    #[test]
+    fn a_picture_that_the_archive_no_longer_holds_whole_is_rejected_by_name() {
+        let torn = archive_of(&["busy/1.jpg"]);
+        // tar keeps a member behind a header of 512 bytes.
+        let half = 512 + jpeg(8).len() as u64 / 2;
+        torn.as_file().set_len(half).unwrap();
+        assert!(
+            fault(&torn).starts_with(", picture 1: "),
+            "{}",
+            fault(&torn)
+        );
+    }
+
+    #[test]
+    fn a_member_that_is_no_picture_is_rejected_by_name() {
         let wrong = archive(&[("busy/1.jpg", b"not a JPEG".to_vec())]);
-        let error = Pictures::of_archive(wrong.path(), 5.0).unwrap().next();
-        assert!(error.unwrap_err().to_string().contains("picture 1"));
+        let expected = ", picture 1: a frame cannot be sent: ";
+        assert!(fault(&wrong).starts_with(expected), "{}", fault(&wrong));
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
+use std::ffi::OsStr;
 use std::path::Path;
 
 /// Ends a source, from any thread, when it is dropped: its pending and later [`FrameSource::next`] calls return soon.
@@ -58,17 +59,28 @@ pub trait FrameSource: Send {
     }
 }
 
-/// Names the clip of a file or folder after its stem, or after its parent for the folder `img1`, in which
-/// MOTChallenge keeps the pictures of every sequence.
+/// Names the clip of a file after its stem, and that of a folder as [`folder_name`] does.
 pub(crate) fn clip_name(path: &Path) -> String {
-    let own = path.file_stem().unwrap_or_default();
-    let parent = path.parent().and_then(Path::file_name);
-    let stem = match parent {
-        Some(parent) if own == "img1" => parent,
-        _ => own,
-    };
-    // A leading dot would hide the files that are named after the clip.
-    plain_name(stem.to_string_lossy().trim_start_matches('.'))
+    if path.is_dir() {
+        return folder_name(path);
+    }
+    visible_name(path.file_stem().unwrap_or_default())
+}
+
+/// Names the clip of a folder after it, or after its parent for the folder `img1`, in which MOTChallenge keeps the pictures
+/// of every sequence.
+pub(super) fn folder_name(folder: &Path) -> String {
+    let own = folder.file_name().unwrap_or_default();
+    let parent = folder.parent().and_then(Path::file_name);
+    match parent {
+        Some(parent) if own == "img1" => visible_name(parent),
+        _ => visible_name(own),
+    }
+}
+
+/// Converts a name without its leading dots, which would hide the files that are named after the clip.
+fn visible_name(name: &OsStr) -> String {
+    plain_name(name.to_string_lossy().trim_start_matches('.'))
 }
 
 /// Converts `text` to a name that is valid as a clip id.
@@ -79,4 +91,42 @@ pub(super) fn plain_name(text: &str) -> String {
         return "clip".to_owned();
     }
     name.replace(|c: char| !is_plain(c), "_")
+}
+
+/// Returns `name`, or if it is taken, the first of `name-2`, `name-3`, … that is not.
+pub(crate) fn unused_name(name: &str, is_taken: impl Fn(&str) -> bool) -> String {
+    let mut unused = name.to_owned();
+    let mut number = 1;
+    while is_taken(&unused) {
+        number += 1;
+        unused = format!("{name}-{number}");
+    }
+    unused
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dot_ends_the_name_of_a_file_and_is_part_of_a_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut names = Vec::new();
+        for camera in ["cam.front", "cam.rear"] {
+            let path = folder.path().join(camera);
+            std::fs::create_dir(&path).unwrap();
+            names.push(clip_name(&path));
+        }
+        assert_eq!(names, ["cam.front", "cam.rear"]);
+        assert_eq!(clip_name(Path::new("some/drive.mp4")), "drive");
+        assert_eq!(clip_name(Path::new("some/.drive.mp4")), "drive");
+    }
+
+    #[test]
+    fn a_name_that_is_taken_gets_a_number() {
+        let taken = ["a", "a-2"];
+        let is_taken = |name: &str| taken.contains(&name);
+        assert_eq!(unused_name("a", is_taken), "a-3");
+        assert_eq!(unused_name("b", is_taken), "b");
+    }
 }

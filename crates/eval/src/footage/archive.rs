@@ -1,0 +1,141 @@
+//! Finds the pictures of a tar archive; each folder in it is a clip.
+
+use super::source::{clip_name, folder_name, plain_name, unused_name};
+use crate::error::EvalError;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, is_picture_file, picture_of_file};
+use std::collections::{HashMap, HashSet};
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// An archive that is open for reading.
+#[derive(Debug)]
+struct Archive {
+    path: PathBuf,
+    file: File,
+}
+
+/// A picture in an archive.
+#[derive(Clone, Debug)]
+pub(super) struct ArchivedPicture {
+    archive: Arc<Archive>,
+    offset: u64,
+    length: usize,
+}
+
+impl ArchivedPicture {
+    /// Names the picture by its number in the sequence that is read, from 1.
+    pub(super) fn name(&self, number: usize) -> String {
+        format!("{}, picture {number}", self.archive.path.display())
+    }
+
+    /// Reads the picture, which is the one of this number.
+    pub(super) fn read(&self, number: usize) -> Result<EncodedPicture, EvalError> {
+        let named = |fault: &dyn std::fmt::Display| {
+            EvalError::new(format!("{}: {fault}", self.name(number)))
+        };
+        let mut bytes = vec![0; self.length];
+        let file = &self.archive.file;
+        file.read_exact_at(&mut bytes, self.offset).map_err(|error| named(&error))?;
+        picture_of_file(bytes.into(), &FrameLimits::default())
+            .map_err(|fault| named(&format!("a frame cannot be sent: {fault}")))
+    }
+}
+
+/// A clip of an archive.
+pub(super) struct ArchivedClip {
+    pub name: String,
+    /// In their order in the archive.
+    pub pictures: Vec<ArchivedPicture>,
+}
+
+/// A folder of an archive, with the pictures that lie in it itself.
+struct Folder {
+    path: PathBuf,
+    pictures: Vec<ArchivedPicture>,
+}
+
+/// Lists the JPEG and PNG files of an archive by their folders, in the order in which these first occur.
+///
+/// # Errors
+/// When the archive cannot be read or has no pictures.
+pub(super) fn archived_clips(path: &Path) -> Result<Vec<ArchivedClip>, EvalError> {
+    let folders = folders_of(path)?;
+    if folders.is_empty() {
+        return Err(EvalError::content(path, "it has no JPEG or PNG files"));
+    }
+    let names = clip_names(&folders, &clip_name(path));
+    let mut clips = Vec::new();
+    for (name, folder) in names.into_iter().zip(folders) {
+        let pictures = folder.pictures;
+        clips.push(ArchivedClip { name, pictures });
+    }
+    Ok(clips)
+}
+
+/// Walks through the archive. A folder's pictures need not follow each other in it: tar writes them as the disk lists them.
+fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
+    let unreadable = |error: std::io::Error| EvalError::content(path, error);
+    let file = File::open(path).map_err(unreadable)?;
+    let archive = Arc::new(Archive {
+        path: path.to_path_buf(),
+        file,
+    });
+    let mut folders: Vec<Folder> = Vec::new();
+    let mut places: HashMap<PathBuf, usize> = HashMap::new();
+    let mut members = tar::Archive::new(&archive.file);
+    for member in members.entries_with_seek().map_err(unreadable)? {
+        let member = member.map_err(unreadable)?;
+        let inside = member.path().map_err(unreadable)?;
+        if !member.header().entry_type().is_file() || !is_picture_file(&inside) {
+            continue;
+        }
+        let length = usize::try_from(member.size()).unwrap_or(usize::MAX);
+        if length > FrameLimits::default().max_payload_bytes {
+            let what = format!("{} is too large for a picture", inside.display());
+            return Err(EvalError::content(path, what));
+        }
+        let folder = inside.parent().unwrap_or(Path::new(""));
+        let place = *places.entry(folder.to_owned()).or_insert(folders.len());
+        if place == folders.len() {
+            folders.push(Folder {
+                path: folder.to_owned(),
+                pictures: Vec::new(),
+            });
+        }
+        folders[place].pictures.push(ArchivedPicture {
+            archive: Arc::clone(&archive),
+            offset: member.raw_file_position(),
+            length,
+        });
+    }
+    Ok(folders)
+}
+
+/// Names the clips of an archive after its folders. Folders of one name in different places are told apart by the folders
+/// around them, joined as in the names that COCO's files give their clips. Pictures in no folder have the name of the archive.
+fn clip_names(folders: &[Folder], archive: &str) -> Vec<String> {
+    let own_name = |folder: &Folder| match folder.path.file_name() {
+        Some(_) => folder_name(&folder.path),
+        None => archive.to_owned(),
+    };
+    let mut folders_by_name: HashMap<String, usize> = HashMap::new();
+    for folder in folders {
+        *folders_by_name.entry(own_name(folder)).or_default() += 1;
+    }
+    let mut names: Vec<String> = Vec::new();
+    let mut taken: HashSet<String> = HashSet::new();
+    for folder in folders {
+        let mut name = own_name(folder);
+        if folders_by_name[&name] > 1 && folder.path.file_name().is_some() {
+            let whole_path = folder.path.to_string_lossy().replace('/', "-");
+            name = plain_name(whole_path.trim_start_matches(['.', '-']));
+        }
+        // Even whole paths can be the same once they are shortened and have no letters beyond ASCII.
+        name = unused_name(&name, |name| taken.contains(name));
+        taken.insert(name.clone());
+        names.push(name);
+    }
+    names
+}
