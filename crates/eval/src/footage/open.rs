@@ -90,21 +90,18 @@ impl SourceName {
         if matches!(self, Self::Pictures(_)) && holds(path, is_video_file) {
             return Err(EvalError::content(path, HOLDS_BOTH));
         }
-        Ok(match self {
-            Self::VideoFiles(_) => {
-                let text = path.to_string_lossy();
-                Box::new(VideoFiles::open(&text, rate, encoding, Ffmpeg::default())?)
-            }
+        let text = path.to_string_lossy();
+        let programs = Ffmpeg::default();
+        let source: Box<dyn FrameSource> = match self {
             Self::Pictures(_) => Box::new(Pictures::of_folder(path, self.pictures_rate(rate))?),
             Self::Archive(_) | Self::Demo => {
                 Box::new(Pictures::of_archive(path, self.pictures_rate(rate))?)
             }
             Self::Recording(_, topic) => Box::new(Recording::open(path, topic.as_deref())?),
-            Self::Video(_) => {
-                let file = path.to_string_lossy();
-                Box::new(Video::open(&file, rate, encoding, Ffmpeg::default())?)
-            }
-        })
+            Self::Video(_) => Box::new(Video::open(&text, rate, encoding, programs)?),
+            Self::VideoFiles(_) => Box::new(VideoFiles::open(&text, rate, encoding, programs)?),
+        };
+        Ok(source)
     }
 
     /// Returns the ground truth that belongs to the source: a file of labels in the Scalabel form.
@@ -187,13 +184,18 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Vec<Box<dyn FrameSource>>, EvalError> {
-        if !matches!(self, Self::Archive(_) | Self::Demo) {
-            self.existing()?;
-            return self.split()?.iter().map(|clip| clip.open(rate, encoding)).collect();
+        let path = self.existing()?;
+        let mut clips: Vec<Box<dyn FrameSource>> = Vec::new();
+        if matches!(self, Self::Archive(_) | Self::Demo) {
+            for clip in Pictures::of_archive(path, self.pictures_rate(rate))?.into_clips() {
+                clips.push(Box::new(clip));
+            }
+        } else {
+            for clip in self.split()? {
+                clips.push(clip.open(rate, encoding)?);
+            }
         }
-        let archive = Pictures::of_archive(self.existing()?, self.pictures_rate(rate))?;
-        let clips = archive.into_clips().into_iter();
-        Ok(clips.map(|clip| Box::new(clip) as Box<dyn FrameSource>).collect())
+        Ok(clips)
     }
 
     /// Returns the names of the clips, without opening a video.
@@ -202,23 +204,23 @@ impl SourceName {
     /// When it does not exist or is an archive that cannot be read.
     pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
+        let any_rate = Pictures::DEFAULT_RATE;
         if matches!(self, Self::Archive(_) | Self::Demo) {
-            let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
+            let clips = Pictures::of_archive(path, any_rate)?.into_clips();
             return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
         }
         let mut names = Vec::new();
         for clip in self.split()? {
-            // Opened so that a folder without pictures is reported before anything else is done.
-            if let Self::Pictures(folder) = &clip {
-                drop(Pictures::of_folder(folder, Pictures::DEFAULT_RATE)?);
-            }
-            names.push(match &clip {
-                Self::VideoFiles(path) => VideoFiles::name_of(path),
+            let name = match &clip {
+                // Opened so that a folder without pictures is reported before anything else is done.
+                Self::Pictures(folder) => Pictures::of_folder(folder, any_rate)?.name().to_owned(),
                 Self::Recording(path, topic) => {
                     Recording::open(path, topic.as_deref())?.name().to_owned()
                 }
-                _ => clip_name(clip.path()),
-            });
+                Self::VideoFiles(path) => VideoFiles::name_of(path),
+                Self::Video(_) | Self::Archive(_) | Self::Demo => clip_name(clip.path()),
+            };
+            names.push(name);
         }
         Ok(names)
     }
@@ -296,12 +298,18 @@ mod tests {
         let name: SourceName = road.parse().unwrap();
         let names = ["busy", "sparse", "two-near", "empty-then-car"];
         assert_eq!(name.clip_names().unwrap(), names);
+    }
+
+    #[test]
+    fn the_demo_is_forty_seconds_long_and_small_enough_for_a_clone() {
+        let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
+        let name = SourceName::Archive(road.to_owned());
         let clips = name.open_clips(Some(ROAD_RATE), VideoEncoding::Jpeg).unwrap();
         let seconds: f64 =
             clips.iter().map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
-        let demo = Path::new(road).parent().unwrap();
-        let bytes = |file: &str| std::fs::metadata(demo.join(file)).unwrap().len();
-        assert!(bytes("road.tar") + bytes("truth.json") <= 14_000_000);
+        let bytes = |file: &Path| std::fs::metadata(file).unwrap().len();
+        let truth = road.with_file_name("truth.json");
+        assert!(bytes(road) + bytes(&truth) <= 14_000_000);
     }
 }

@@ -147,10 +147,14 @@ impl Recording {
                 "albireo: {file} ends early ({damage}); its {frames} whole pictures are used"
             );
         }
-        let of_topic = opened(path)?.filter(|message| message.channel.topic == topic);
-        let times: Vec<u64> = of_topic.map(|message| message.time_ns).take(TIMED).collect();
+        let times: Vec<u64> = opened(path)?
+            .filter(|message| message.channel.topic == topic)
+            .map(|message| message.time_ns)
+            .take(TIMED)
+            .collect();
         // As exact as such a clock, and as a person reads it.
-        let rate = Pace::of(&times).map(|pace| (pace.rate * 1e3).round() / 1e3);
+        let paced = Pace::of(&times).map(|pace| (pace.rate * 1e3).round() / 1e3);
+        let possible = paced.filter(|rate| (0.01..=1000.0).contains(rate));
         let mut name = clip_name(path);
         if topics.len() > 1 {
             name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
@@ -159,9 +163,7 @@ impl Recording {
             messages: opened(path)?,
             path: path.to_owned(),
             name,
-            rate: rate
-                .filter(|rate| (0.01..=1000.0).contains(rate))
-                .unwrap_or(Pictures::DEFAULT_RATE),
+            rate: possible.unwrap_or(Pictures::DEFAULT_RATE),
             frames,
             topic,
             number: 0,

@@ -211,15 +211,15 @@ mod tests {
             assert!(made.success());
         }
         let programs = tempfile::tempdir().unwrap();
-        let [text, ffprobe, calls] =
-            ["text", "ffprobe", "calls"].map(|name| programs.path().join(name));
+        let [script, ffprobe, calls] =
+            ["script", "ffprobe", "calls"].map(|name| programs.path().join(name));
         let counting = format!(
             "#!/bin/sh\necho >>{}\nexec ffprobe \"$@\"\n",
             calls.display()
         );
-        std::fs::write(&text, counting).unwrap();
+        std::fs::write(&script, counting).unwrap();
         // A program that this process has open for writing, or a child of another test, could not be started.
-        let copied = Command::new("install").args(["-m", "700"]).args([&text, &ffprobe]).status();
+        let copied = Command::new("install").args(["-m", "700"]).args([&script, &ffprobe]).status();
         assert!(copied.unwrap().success());
         let programs = Ffmpeg {
             ffprobe,
@@ -231,7 +231,9 @@ mod tests {
         while files.next().unwrap().is_some() {
             pictures += 1;
         }
-        assert_eq!((files.rate(), pictures), (5.0, 10));
-        assert_eq!(std::fs::read_to_string(&calls).unwrap().lines().count(), 2);
+        assert_eq!(files.rate(), 5.0);
+        assert_eq!(pictures, 10);
+        let calls = std::fs::read_to_string(&calls).unwrap();
+        assert_eq!(calls.lines().count(), 2, "one for each file");
     }
 }
