@@ -59,10 +59,11 @@ impl PolicySpec {
         if self.empty_road.pause_s == 0.0 {
             return Ok(policy);
         }
-        let rate = rate.ok_or_else(|| {
-            refused("a pause is in seconds, and the data has no frame rate: give it with --rate")
-        })?;
-        let pause = self.empty_road.frames(Some(rate));
+        if rate.is_none() {
+            let what = "a pause is in seconds, and the data has no frame rate: give it with --rate";
+            return Err(refused(what));
+        }
+        let pause = self.empty_road.frames(rate);
         Ok(Box::new(WithPause::new(policy, pause)))
     }
 }
@@ -90,15 +91,15 @@ impl std::str::FromStr for Sweep {
 
     fn from_str(text: &str) -> Result<Self, EvalError> {
         let wrong = |reason: String| EvalError::new(format!("--sweep {text}: {reason}"));
-        let (name, values) = text.split_once('=').ok_or_else(|| {
-            wrong("write NAME=VALUE,VALUE,…, for instance u=3e-4,5e-4".to_owned())
-        })?;
-        let values = values
-            .split(',')
-            .map(|value| {
-                value.trim().parse().map_err(|_| wrong(format!("`{value}` is not a number")))
-            })
-            .collect::<Result<Vec<f64>, _>>()?;
+        let Some((name, listed)) = text.split_once('=') else {
+            let what = "write NAME=VALUE,VALUE,…, for instance u=3e-4,5e-4";
+            return Err(wrong(what.to_owned()));
+        };
+        let mut values = Vec::new();
+        for value in listed.split(',') {
+            let number = value.trim().parse::<f64>();
+            values.push(number.map_err(|_| wrong(format!("`{value}` is not a number")))?);
+        }
         Ok(Self {
             name: name.trim().to_owned(),
             values,
@@ -137,19 +138,23 @@ pub fn resolve_with_pause(
     screen: ScreenRule,
     pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
-    let mut named = vec![BASELINE];
-    for asked in asked {
-        if asked == "all" {
-            // Statues looks at pixels.
-            let usable = |name: &&str| pixels || !name.starts_with(Statues::NAME);
-            named.extend(ALL.into_iter().filter(usable));
+    let mut names = vec![BASELINE];
+    for name in asked {
+        if name == "all" {
+            let usable = |name: &&str| pixels || !looks_at_pixels(name);
+            names.extend(ALL.into_iter().filter(usable));
         } else {
-            named.push(asked);
+            names.push(name);
         }
     }
-    swept(&named, sweeps, base, |policy, empty_road| {
+    swept(&names, sweeps, base, |policy, empty_road| {
         label(policy, empty_road, screen)
     })
+}
+
+/// True for a policy of [`ALL`] that needs pictures.
+fn looks_at_pixels(name: &str) -> bool {
+    name.starts_with(Statues::NAME)
 }
 
 /// A policy, and what it was built from.
@@ -170,24 +175,23 @@ pub(crate) fn swept(
     asked: &[&str],
     sweeps: &[Sweep],
     base: Base<'_>,
-    label: impl Fn(&dyn Policy, EmptyRoad) -> String,
+    label_of: impl Fn(&dyn Policy, EmptyRoad) -> String,
 ) -> Result<Vec<PolicySpec>, EvalError> {
-    let mut found = Vec::new();
+    let mut all = Vec::new();
     let mut applied = vec![false; sweeps.len()];
-    for asked in asked {
-        let one = build(asked, base)?;
-        let spec = one.policy.threshold_spec();
-        let (name, pause) = asked.split_at(asked.find(',').unwrap_or(asked.len()));
-        let sweep =
-            sweeps.iter().position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
+    for text in asked {
+        let built = build(text, base)?;
+        let threshold = built.policy.threshold_spec().map(|threshold| threshold.name);
+        let (name, pause) = text.split_at(text.find(',').unwrap_or(text.len()));
+        let sweep = sweeps.iter().position(|sweep| threshold == Some(&*sweep.name));
         match sweep {
             Some(index) if !name.contains(':') => {
                 applied[index] = true;
                 for value in &sweeps[index].values {
-                    found.push(build(&format!("{name}:{value:e}{pause}"), base)?);
+                    all.push(build(&format!("{name}:{value:e}{pause}"), base)?);
                 }
             }
-            _ => found.push(one),
+            _ => all.push(built),
         }
     }
     if let Some(unused) = applied.iter().position(|applied| !applied) {
@@ -197,8 +201,8 @@ pub(crate) fn swept(
         )));
     }
     let mut specs: Vec<PolicySpec> = Vec::new();
-    for built in found {
-        let label = label(built.policy.as_ref(), built.empty_road);
+    for built in all {
+        let label = label_of(built.policy.as_ref(), built.empty_road);
         if specs.iter().all(|spec| spec.label != label) {
             specs.push(PolicySpec {
                 label,
@@ -286,18 +290,16 @@ fn is_hundredths(value: f64) -> bool {
 /// `fixed-skip` out).
 fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> String {
     let name = policy.name();
-    let mut setting = match (policy.threshold_spec(), policy.threshold()) {
-        (Some(_), Some(value)) if takes_u(policy) => format!("-u{value:e}"),
-        (Some(_), Some(value)) if policy.name() == Ctd::NAME && is_hundredths(value) => {
-            format!("-{value:.2}")
-        }
-        (Some(_), Some(value)) => format!("-{value}"),
-        _ => String::new(),
+    let mut setting = match policy.threshold() {
+        Some(value) if takes_u(policy) => format!("-u{value:e}"),
+        Some(value) if name == Ctd::NAME && is_hundredths(value) => format!("-{value:.2}"),
+        Some(value) => format!("-{value}"),
+        None => String::new(),
     };
     setting.push_str(&pause_label(empty_road));
     // The screen is part of the label of policies that use it.
     let is_screened = !matches!(
-        policy.name(),
+        name,
         Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
     );
     if is_screened {
@@ -336,24 +338,25 @@ pub(crate) fn split_label(label: &str) -> (&str, String) {
 mod tests {
     use super::*;
 
-    /// The labels on pictures, if there are any (`pixels`).
-    fn labels_with(
-        asked: &[&str],
-        sweeps: &[&str],
-        pixels: bool,
-    ) -> Result<Vec<String>, EvalError> {
+    /// What `pixels` is on stored detections and on pictures.
+    const NO_PIXELS: bool = false;
+    const PIXELS: bool = true;
+
+    fn specs(asked: &[&str], sweeps: &[&str], pixels: bool) -> Result<Vec<PolicySpec>, EvalError> {
         let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
         let sweeps: Vec<Sweep> =
             sweeps.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;
         let base = PolicyConfig::default();
-        let specs = resolve(&asked, &sweeps, &base, ScreenRule::Nonempty, pixels)?;
-        Ok(specs.into_iter().map(|spec| spec.label).collect())
+        resolve(&asked, &sweeps, &base, ScreenRule::Nonempty, pixels)
+    }
+
+    fn labels_of(specs: Vec<PolicySpec>) -> Vec<String> {
+        specs.into_iter().map(|spec| spec.label).collect()
     }
 
     /// The labels on stored detections.
     fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {
-        let pixels = false;
-        labels_with(asked, sweeps, pixels)
+        Ok(labels_of(specs(asked, sweeps, NO_PIXELS)?))
     }
 
     #[test]
@@ -382,7 +385,7 @@ mod tests {
 
     #[test]
     fn policies_have_the_labels_of_the_published_traces_and_the_baseline_is_always_there() {
-        let (asked, expected): (Vec<_>, Vec<_>) = [
+        let (with_baseline, expected): (Vec<_>, Vec<_>) = [
             ("vanilla", "vanilla"),
             ("albireo", "albireo-u3e-4-erd-nonempty"),
             ("albireo:1e-3", "albireo-u1e-3-erd-nonempty"),
@@ -397,16 +400,18 @@ mod tests {
         ]
         .into_iter()
         .unzip();
-        for asked in [&asked[..], &asked[1..]] {
-            assert_eq!(labels(asked, &[]).unwrap(), expected);
-        }
+        let without_baseline = &with_baseline[1..];
+        assert_eq!(labels(&with_baseline, &[]).unwrap(), expected);
+        assert_eq!(labels(without_baseline, &[]).unwrap(), expected);
     }
 
     #[test]
     fn all_is_every_policy_and_setting_that_the_data_allows() {
-        for (pixels, count) in [(false, 19), (true, 23)] {
-            assert_eq!(labels_with(&["all"], &[], pixels).unwrap().len(), count);
-        }
+        let on_pictures = labels_of(specs(&["all"], &[], PIXELS).unwrap());
+        assert_eq!(on_pictures.len(), 1 + ALL.len(), "the baseline, too");
+        let mut without_statues = on_pictures;
+        without_statues.retain(|label| !label.starts_with("statues"));
+        assert_eq!(labels(&["all"], &[]).unwrap(), without_statues);
     }
 
     #[test]
@@ -441,12 +446,20 @@ mod tests {
             let refused = labels(&[asked], &[]).unwrap_err().to_string();
             assert!(refused.contains(part), "{refused}");
         }
-        let base = PolicyConfig::default();
-        let asked = ["albireo,pause_s=0.1".to_owned()];
-        let pixels = false;
-        let specs = resolve(&asked, &[], &base, ScreenRule::Nonempty, pixels).unwrap();
-        let refused = specs[1].build(None).map(|_| ()).unwrap_err().to_string();
-        assert!(refused.contains("--rate"), "{refused}");
+    }
+
+    #[test]
+    fn a_pause_needs_a_frame_rate() {
+        let found = specs(&["albireo,pause_s=0.1"], &[], NO_PIXELS).unwrap();
+        let [_baseline, pausing] = found.as_slice() else {
+            panic!("{found:?}");
+        };
+        assert!(pausing.build(Some(10.0)).is_ok());
+        let no_rate = None;
+        let Err(refused) = pausing.build(no_rate) else {
+            panic!("a pause of seconds without a frame rate");
+        };
+        assert!(refused.to_string().contains("--rate"), "{refused}");
     }
 
     #[test]
