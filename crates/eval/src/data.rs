@@ -24,7 +24,7 @@ pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
 use crate::boxes::ScoredBox;
 use crate::data::classes::Evaluated;
 use crate::error::EvalError;
-use crate::footage::FrameSelection;
+use crate::footage::{FrameSelection, unused_name};
 use crate::judge::{Ignored, Mark, only_unlabelled, unlabelled};
 use crate::text::counted;
 use albireo_core::detection::ClassId;
@@ -116,20 +116,14 @@ impl Clip {
         let Some(own) = self.frame_rate.filter(|own| *own > rate) else {
             return self;
         };
-        fn kept<T>(frames: Vec<T>, taken: &[bool]) -> Vec<T> {
-            let frames = frames.into_iter().zip(taken).filter(|(_, taken)| **taken);
-            frames.map(|(frame, _)| frame).collect()
-        }
         let selection = FrameSelection::new(own, rate);
-        let taken: Vec<bool> =
-            (0..self.frames).map(|frame| selection.takes(frame as u64)).collect();
-        self.detections = self.detections.map(|frames| kept(frames, &taken));
-        self.screen = self.screen.map(|frames| kept(frames, &taken));
-        self.truth = self.truth.map(|frames| kept(frames, &taken));
-        self.ignored = kept(self.ignored, &taken);
-        self.pictures = kept(self.pictures, &taken);
+        self.detections = self.detections.map(|frames| selected(frames, selection));
+        self.screen = self.screen.map(|frames| selected(frames, selection));
+        self.truth = self.truth.map(|frames| selected(frames, selection));
+        self.ignored = selected(self.ignored, selection);
+        self.pictures = selected(self.pictures, selection);
         self.pass = None;
-        self.frames = taken.iter().filter(|taken| **taken).count();
+        self.frames = (0..self.frames).filter(|frame| selection.takes(*frame as u64)).count();
         self.frame_rate = Some(rate);
         self
     }
@@ -146,6 +140,17 @@ impl Clip {
         }
         self.ignored[frame].push(ignored);
     }
+}
+
+/// The entries of a list of frames that the selection takes.
+fn selected<T>(frames: Vec<T>, selection: FrameSelection) -> Vec<T> {
+    let mut taken = Vec::new();
+    for (index, frame) in (0..).zip(frames) {
+        if selection.takes(index) {
+            taken.push(frame);
+        }
+    }
+    taken
 }
 
 /// The clips of a data set, and a report on reading them.
@@ -232,18 +237,20 @@ impl LoadReport {
         picture: PictureSize,
         place: impl FnOnce() -> String,
     ) -> Option<Ignored> {
-        let kept = Ignored {
-            corners,
-            class,
-            mark,
-        };
-        let reason = self.check(corners, picture);
-        let counted = match mark {
+        if let Some(reason) = self.check(corners, picture) {
+            self.leave_out(reason, place);
+            return None;
+        }
+        let reason = match mark {
             Mark::Unjudged => LeftOut::Unjudged,
             _ => LeftOut::IgnoredRegion,
         };
-        self.leave_out(reason.unwrap_or(counted), place);
-        reason.is_none().then_some(kept)
+        self.leave_out(reason, place);
+        Some(Ignored {
+            corners,
+            class,
+            mark,
+        })
     }
 
     /// Returns the box if it is valid; otherwise counts it under the reason to leave it out.
@@ -254,25 +261,29 @@ impl LoadReport {
         place: impl FnOnce() -> String,
     ) -> Option<ScoredBox> {
         let confidence = labelled.confidence;
-        let mut reason = self.check(labelled.corners, picture);
-        if reason.is_none() && !confidence.is_finite() {
-            reason = Some(LeftOut::NotFinite);
-        } else if reason.is_none() && !(0.0..=1.0).contains(&confidence) {
-            reason = Some(LeftOut::ConfidenceRange);
+        let reason = if let Some(of_corners) = self.check(labelled.corners, picture) {
+            Some(of_corners)
+        } else if !confidence.is_finite() {
+            Some(LeftOut::NotFinite)
+        } else if !(0.0..=1.0).contains(&confidence) {
+            Some(LeftOut::ConfidenceRange)
+        } else {
+            None
+        };
+        if let Some(reason) = reason {
+            self.leave_out(reason, place);
+            return None;
         }
-        match (reason, labelled.class) {
-            (None, Ok(class)) => {
-                return Some(ScoredBox {
-                    corners: labelled.corners,
-                    class,
-                    confidence,
-                    object: labelled.object,
-                });
-            }
-            (None, Err(_)) => self.leave_out_class(&labelled.class_name, place),
-            (Some(reason), _) => self.leave_out(reason, place),
-        }
-        None
+        let Ok(class) = labelled.class else {
+            self.leave_out_class(&labelled.class_name, place);
+            return None;
+        };
+        Some(ScoredBox {
+            corners: labelled.corners,
+            class,
+            confidence,
+            object: labelled.object,
+        })
     }
 
     /// The report as text, one line per entry; empty if there is nothing to report.
@@ -347,15 +358,9 @@ impl DataSet {
     /// valid as a file name.
     pub(crate) fn push(&mut self, mut clip: Clip) {
         let plain = clip.name.replace(['/', '\\', ':'], "-");
-        clip.name = plain.trim_start_matches('.').to_owned();
-        let taken = |name: &str| self.clips.iter().any(|other| other.name == name);
-        if clip.name.is_empty() || taken(&clip.name) {
-            let base = std::mem::take(&mut clip.name);
-            let mut number = 2..;
-            while clip.name.is_empty() || taken(&clip.name) {
-                clip.name = format!("{base}-{}", number.next().unwrap_or_default());
-            }
-        }
+        let is_taken =
+            |name: &str| name.is_empty() || self.clips.iter().any(|other| other.name == name);
+        clip.name = unused_name(plain.trim_start_matches('.'), is_taken);
         if clip.frames == 0 {
             let name = clip.name.clone();
             self.report.leave_out(LeftOut::EmptyClip, || name);

@@ -242,9 +242,10 @@ impl Reading<'_> {
                     );
                     return Err(EvalError::content(&file, what));
                 }
+                let labelled = self.labelled(&file, &frame, kind, report)?;
                 place.insert(Labelled {
                     is_by_name,
-                    ..self.boxes(&file, &frame, kind, report)?
+                    ..labelled
                 });
             }
         }
@@ -252,7 +253,7 @@ impl Reading<'_> {
     }
 
     /// Reads the labels of a frame, without those that are left out.
-    fn boxes(
+    fn labelled(
         self,
         file: &Path,
         frame: &Frame,

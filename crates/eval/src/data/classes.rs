@@ -37,6 +37,9 @@ const OTHERS_OF_BDD100K: [&str; 6] = [
     "trailer",
 ];
 
+/// The most classes that an error names of the ground truth, and of the model; or clips.
+pub(super) const MOST_NAMED: usize = 8;
+
 /// The classes that a run evaluates.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Evaluated {
@@ -90,9 +93,9 @@ impl Evaluated {
         }
         let judged: Vec<&str> = match self {
             Self::Road => EVALUATED.iter().map(|(_, name)| *name).collect(),
-            Self::Own(own) => own.iter().map(String::as_str).take(8).collect(),
+            Self::Own(own) => own.iter().map(String::as_str).take(MOST_NAMED).collect(),
         };
-        let first: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
+        let first: Vec<&str> = names.iter().map(String::as_str).take(MOST_NAMED).collect();
         Err(EvalError::new(format!(
             "the ground truth is judged by {}, and the model has none of these classes ({}): give the right names of its \
              classes (--class-names or detector.class_names), or labels of these",

@@ -120,18 +120,18 @@ pub(super) fn read_as(
     results: Option<&Path>,
     classes: &Evaluated,
 ) -> Result<DataSet, EvalError> {
-    let dataset = &file_of(dataset)?;
-    let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
+    let file = &file_of(dataset)?;
+    let set: Dataset = parse(file, "give a COCO file with images and categories")?;
     let mut categories = Categories::new();
     for Category { id, name } in &set.categories {
         let class = class_of(name, classes);
         categories.insert(*id, KnownCategory { name, class });
     }
     let has_truth = set.annotations.is_some();
-    let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
+    let (mut drafts, places) = frames(file, &set, has_truth, results.is_some())?;
     let mut data = DataSet::default();
     let report = &mut data.report;
-    let labelled = |annotation: &Annotation, confidence| {
+    let labelled_box = |annotation: &Annotation, confidence| {
         let category = categories.get(&annotation.category_id);
         LabelledBox {
             corners: corners(annotation.bbox),
@@ -145,10 +145,10 @@ pub(super) fn read_as(
         }
     };
     for (number, annotation) in set.annotations.iter().flatten().enumerate() {
-        let entry = || format!("{}, annotation {number}", dataset.display());
-        let place = place(dataset, &places, annotation, number)?;
+        let entry = || format!("{}, annotation {number}", file.display());
+        let place = place_of(annotation, number, &places, file)?;
         let clip = &mut drafts[place.clip];
-        let labelled = labelled(annotation, 1.0);
+        let labelled = labelled_box(annotation, 1.0);
         let mark = if annotation.iscrowd {
             Some(Mark::Crowd)
         } else if annotation.ignore {
@@ -172,12 +172,12 @@ pub(super) fn read_as(
         let found: Vec<Annotation> = parse(path, "give a COCO list of results")?;
         for (number, result) in found.iter().enumerate() {
             let entry = || format!("{}, result {number}", path.display());
-            let place = place(path, &places, result, number)?;
+            let place = place_of(result, number, &places, path)?;
             let clip = &mut drafts[place.clip];
             let confidence = result.score.ok_or_else(|| {
                 EvalError::content(path, format!("result {number} has no `score`"))
             })?;
-            let kept = report.keep(&labelled(result, confidence), clip.picture, entry);
+            let kept = report.keep(&labelled_box(result, confidence), clip.picture, entry);
             if let Some(detections) = &mut clip.detections {
                 detections[place.frame].extend(kept);
             }
@@ -188,7 +188,7 @@ pub(super) fn read_as(
         data.push(clip);
     }
     data.nonempty(
-        dataset,
+        file,
         "a file with images, annotations and categories, such as annotations/instances_val2017.json",
     )
 }
@@ -232,32 +232,29 @@ fn mark_other_classes(
     let all: BTreeSet<ClassId> = categories.keys().filter_map(class_by_id).collect();
     let mut limited = 0;
     for video in &set.videos {
-        let (Some(absent), Some(&clip)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
+        let (Some(absent), Some(&index)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
         else {
             continue;
         };
-        let mut judged = labelled.remove(&clip).unwrap_or_default();
-        judged.extend(absent);
-        judged.retain(|id| !video.not_exhaustive_category_ids.contains(id));
-        let judged: BTreeSet<ClassId> = judged.iter().filter_map(class_by_id).collect();
-        let others: BTreeSet<ClassId> = all.difference(&judged).copied().collect();
-        let clip = &mut drafts[clip];
-        let corners = Corners {
+        let mut categories = labelled.remove(&index).unwrap_or_default();
+        categories.extend(absent);
+        categories.retain(|id| !video.not_exhaustive_category_ids.contains(id));
+        let judged: BTreeSet<ClassId> = categories.iter().filter_map(class_by_id).collect();
+        let clip = &mut drafts[index];
+        let whole_picture = Corners {
             x1: 0.0,
             y1: 0.0,
             x2: f64::from(clip.picture.width),
             y2: f64::from(clip.picture.height),
         };
         for frame in 0..clip.frames {
-            for class in &others {
-                clip.ignore(
-                    frame,
-                    Ignored {
-                        corners,
-                        class: Some(*class),
-                        mark: Mark::Region,
-                    },
-                );
+            for other in all.difference(&judged) {
+                let unjudged = Ignored {
+                    corners: whole_picture,
+                    class: Some(*other),
+                    mark: Mark::Region,
+                };
+                clip.ignore(frame, unjudged);
             }
         }
         limited += 1;
@@ -311,11 +308,12 @@ struct Place {
 /// The place of each image, by the image's id.
 type Places = HashMap<u64, Place>;
 
-fn place(
-    path: &Path,
-    places: &Places,
+/// The place of the image of an annotation, which is the one of this `number` in the file.
+fn place_of(
     annotation: &Annotation,
     number: usize,
+    places: &Places,
+    path: &Path,
 ) -> Result<Place, EvalError> {
     places.get(&annotation.image_id).copied().ok_or_else(|| {
         EvalError::content(
@@ -374,17 +372,18 @@ fn frames(
             let clip = clips.len();
             places.insert(image.id, Place { clip, frame });
         }
-        let numbers = images.iter().map(|image| {
+        let place_in_video = |image: &&Image| {
             let number = image.number()?.checked_sub(first)?;
             usize::try_from(number).ok().filter(|number| *number < MAX_FRAMES)
-        });
+        };
+        let all_places: Option<Vec<usize>> = images.iter().map(place_in_video).collect();
         let video = images[0].video_id.and_then(|id| videos.get(&id));
         let frame_rate = video.and_then(|video| video.fps.or(video.frame_rate));
         clips.push(Clip {
             frame_rate: frame_rate.filter(|rate| *rate > 0.0),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
-            places: numbers.collect::<Option<_>>().unwrap_or_default(),
+            places: all_places.unwrap_or_default(),
             ..Clip::new(name, picture, images.len())
         });
     }

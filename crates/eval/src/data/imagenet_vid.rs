@@ -88,7 +88,7 @@ fn read_clip(
     classes: &Evaluated,
     report: &mut LoadReport,
 ) -> Result<Clip, EvalError> {
-    let mut labelled: BTreeMap<usize, Vec<ScoredBox>> = BTreeMap::new();
+    let mut labels: BTreeMap<usize, Vec<ScoredBox>> = BTreeMap::new();
     let mut size: Option<PictureSize> = None;
     for file in files {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy();
@@ -96,6 +96,10 @@ fn read_clip(
         let frame = number.ok_or_else(|| {
             EvalError::content(file, "its name is no frame's number, such as 000000.xml")
         })?;
+        if labels.contains_key(&frame) {
+            let what = format!("frame {frame} occurs twice");
+            return Err(EvalError::content(file, what));
+        }
         let text = read_text(file, "is the file readable?")?;
         let document = Document::parse(&text).map_err(|error| EvalError::content(file, error))?;
         let root = document.root_element();
@@ -110,18 +114,13 @@ fn read_clip(
             let labelled = labelled_box(object, classes, file)?;
             boxes.extend(report.keep(&labelled, picture, || file.display().to_string()));
         }
-        if labelled.insert(frame, boxes).is_some() {
-            return Err(EvalError::content(
-                file,
-                format!("frame {frame} occurs twice"),
-            ));
-        }
+        labels.insert(frame, boxes);
     }
-    let frames = labelled.last_key_value().map_or(0, |(last, _)| last + 1);
+    let frames = labels.last_key_value().map_or(0, |(last, _)| last + 1);
     let mut clip = Clip::new(name, size.unwrap_or(PictureSize::new(1, 1)), frames);
     let mut truth = vec![Vec::new(); frames];
     for (frame, boxes) in truth.iter_mut().enumerate() {
-        match labelled.remove(&frame) {
+        match labels.remove(&frame) {
             Some(found) => *boxes = found,
             None => clip.ignore(frame, Ignored::UNLABELLED),
         }

@@ -49,7 +49,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let pictures = pictures_in(&folder.join("image_02").join(name));
     let first = pictures.first().and_then(|first| read_picture_file(first).ok());
     let picture = first.map_or(USUAL_SIZE, |first| first.size);
-    let frames = if pictures.is_empty() {
+    let known_frames = if pictures.is_empty() {
         None
     } else {
         Some(pictures.len())
@@ -59,7 +59,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         separator: None,
         header: None,
         first: 0,
-        frames,
+        frames: known_frames,
     };
     let labels = table("label_02");
     let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");

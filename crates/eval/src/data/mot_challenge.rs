@@ -175,7 +175,8 @@ fn label(
     };
     let corners = corners(row)?;
     let class = from_mot_challenge(number);
-    let marked = match (number, class) {
+    // Boxes of which class are excused there, and by which rule.
+    let excuse = match (number, class) {
         (2 | 7 | 8 | 12, _) => Some((None, Mark::Distractor)),
         (6, _) if with_vehicles => Some((None, Mark::Distractor)),
         // Occluders and crowds.
@@ -184,7 +185,7 @@ fn label(
         (_, Ok(class)) if !is_judged => Some((Some(class), Mark::Distractor)),
         _ => None,
     };
-    if let Some((class, mark)) = marked {
+    if let Some((class, mark)) = excuse {
         let marked = report.mark(corners, class, mark, picture, || row.place());
         return Ok(TruthLine::Marked(marked));
     }

@@ -23,6 +23,7 @@ use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
@@ -83,12 +84,11 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let mut names = std::collections::BTreeSet::new();
     for entry in index.sequences {
         check(&entry, &path)?;
-        if !names.insert(entry.name.clone()) {
-            return Err(EvalError::content(
-                &path,
-                format!("the sequence `{}` is listed twice", entry.name),
-            ));
+        if names.contains(&entry.name) {
+            let what = format!("the sequence `{}` is listed twice", entry.name);
+            return Err(EvalError::content(&path, what));
         }
+        names.insert(entry.name.clone());
         let clip = read_sequence(folder, entry, &mut data.report)?;
         data.push(Clip {
             classes: classes.clone(),
@@ -189,11 +189,12 @@ fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), EvalError>
     if !frame.is_empty() {
         return Err(row.broken("its frame occurs twice"));
     }
-    frame.push(match row.text(1, "empty")? {
+    let is_empty = match row.text(1, "empty")? {
         "0" => false,
         "1" => true,
         other => return Err(row.broken(format!("`empty` is `{other}`, expected 0 or 1"))),
-    });
+    };
+    frame.push(is_empty);
     Ok(())
 }
 
@@ -213,10 +214,13 @@ fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
         return Ok(region);
     }
     let name = row.text(6, "mark")?;
-    let mark = MARKS.iter().find(|(_, known)| *known == name).map(|(mark, _)| *mark);
+    let Some((mark, _)) = MARKS.iter().find(|(_, known)| *known == name) else {
+        return Err(row.broken(format!("`mark` is `{name}`, which is no rule")));
+    };
+    let class = u16::try_from(row.integer(5, "class")?).ok();
     Ok(Ignored {
-        class: u16::try_from(row.integer(5, "class")?).ok().map(ClassId),
-        mark: mark.ok_or_else(|| row.broken(format!("`mark` is `{name}`, which is no rule")))?,
+        class: class.map(ClassId),
+        mark: *mark,
         ..region
     })
 }
@@ -336,12 +340,14 @@ fn formatted<'a, T: 'a, F>(header: &str, frames: &'a [F], row: impl Fn(&T) -> St
 where
     &'a F: IntoIterator<Item = &'a T>,
 {
-    let frames = frames.iter().enumerate();
-    let rows = frames.flat_map(|(frame, entries)| {
-        let row = &row;
-        entries.into_iter().map(move |entry| format!("{frame},{}\n", row(entry)))
-    });
-    std::iter::once(format!("{header}\n")).chain(rows).collect()
+    let mut table = format!("{header}\n");
+    for (frame, entries) in frames.iter().enumerate() {
+        for entry in entries {
+            // Writing into text cannot fail.
+            let _ = writeln!(table, "{frame},{}", row(entry));
+        }
+    }
+    table
 }
 
 fn cells(Corners { x1, y1, x2, y2 }: Corners) -> String {

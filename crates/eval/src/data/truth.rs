@@ -1,6 +1,6 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
-use super::classes::{self, Evaluated};
+use super::classes::{self, Evaluated, MOST_NAMED};
 use super::{
     Clip, DataSet, LoadReport, Rules, bdd100k, coco, imagenet_vid, kitti, mot_challenge, recorded,
     visdrone,
@@ -34,9 +34,6 @@ pub enum TruthFormat {
     /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
     Recorded,
 }
-
-/// The most classes that an error names of the ground truth, and of the model.
-const MOST_NAMED: usize = 8;
 
 /// A size in which every box of labels fits whose pictures are not known yet.
 const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
@@ -185,7 +182,7 @@ impl GroundTruth {
         if names.iter().any(|name| self.has(name, alone)) {
             return Ok(());
         }
-        let truths: Vec<&str> = self.clips.keys().map(String::as_str).take(8).collect();
+        let truths: Vec<&str> = self.clips.keys().map(String::as_str).take(MOST_NAMED).collect();
         Err(EvalError::new(format!(
             "the ground truth is for the clips {}, and none of them is evaluated here ({}): a clip is named after its file",
             truths.join(", "),
@@ -251,8 +248,9 @@ impl GroundTruth {
         let Some(name) = self.name_of(&clip.name, alone).map(str::to_owned) else {
             return Ok(());
         };
-        let ClipTruth { file, clip: found } = &self.clips[&name];
-        let file = &mut self.files[*file];
+        let known = &self.clips[&name];
+        let found = &known.clip;
+        let file = &mut self.files[known.file];
         let wrong = |what: String| {
             let path = file.path.display();
             EvalError::new(format!(
@@ -306,14 +304,7 @@ impl GroundTruth {
         let mut truth = usable(objects, &clip.unusable);
         if !knows_its_pictures(self.format) {
             for (frame, objects) in truth.iter_mut().enumerate() {
-                for object in std::mem::take(objects) {
-                    match report.check(object.corners, clip.picture) {
-                        Some(reason) => {
-                            report.leave_out(reason, || format!("ground truth, frame {frame}"));
-                        }
-                        None => objects.push(object),
-                    }
-                }
+                *objects = within_picture(objects, frame, clip.picture, report);
             }
         }
         clip.truth = Some(truth);
@@ -374,11 +365,30 @@ fn labels_of(
 
 /// The entries of `frames` whose pictures can be used.
 fn usable<T>(frames: Vec<T>, unusable: &[usize]) -> Vec<T> {
-    let frames = frames.into_iter().enumerate();
-    frames
-        .filter(|(place, _)| !unusable.contains(place))
-        .map(|(_, frame)| frame)
-        .collect()
+    let mut usable = Vec::new();
+    for (place, frame) in frames.into_iter().enumerate() {
+        if !unusable.contains(&place) {
+            usable.push(frame);
+        }
+    }
+    usable
+}
+
+/// The objects of a frame that are in its picture; the others are counted.
+fn within_picture(
+    objects: &[ScoredBox],
+    frame: usize,
+    picture: PictureSize,
+    report: &mut LoadReport,
+) -> Vec<ScoredBox> {
+    let mut within = Vec::new();
+    for object in objects {
+        match report.check(object.corners, picture) {
+            Some(reason) => report.leave_out(reason, || format!("ground truth, frame {frame}")),
+            None => within.push(*object),
+        }
+    }
+    within
 }
 
 /// True if the layout says how large its pictures are.
@@ -434,9 +444,10 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
 /// Returns Vanilla's own output as ground truth: the clip's detections from `confidence` on. It measures how far a
 /// policy departs from running the detector on every frame, not how right either is.
 pub fn vanilla_as_truth(clip: &Clip, confidence: f64) -> Vec<Vec<ScoredBox>> {
-    let sure = |frame: &Vec<ScoredBox>| {
-        let sure = frame.iter().filter(|found| found.confidence >= confidence);
-        sure.copied().collect()
-    };
-    clip.detections.iter().flatten().map(sure).collect()
+    let mut frames = Vec::new();
+    for detections in clip.detections.iter().flatten() {
+        let is_sure = |found: &&ScoredBox| found.confidence >= confidence;
+        frames.push(detections.iter().filter(is_sure).copied().collect());
+    }
+    frames
 }

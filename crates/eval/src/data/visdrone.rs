@@ -51,12 +51,17 @@ fn read_sequence(
     let pictures = pictures_in(&folder.join("sequences").join(&name));
     let first = pictures.first().and_then(|first| read_picture_file(first).ok());
     let picture = first.map_or(picture, |first| first.size);
+    let known_frames = if pictures.is_empty() {
+        None
+    } else {
+        Some(pictures.len())
+    };
     let table = Table {
         path: file.to_owned(),
         separator: Some(','),
         header: None,
         first: 1,
-        frames: (!pictures.is_empty()).then_some(pictures.len()),
+        frames: known_frames,
     };
     let is_judged = |row: &Row<'_>| {
         let score = row.number::<f64>(6, "score")?;

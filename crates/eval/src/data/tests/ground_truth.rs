@@ -74,7 +74,7 @@ fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbe
         truth.take_report().unmapped_classes,
         [("antelope".to_owned(), 1)].into()
     );
-    // No label is a kite, so no box of one can be right.
+    // No label is a kite: the model's boxes of kites are left out, neither right nor wrong.
     let kite = truth.classes().find("kite");
     assert_eq!(kite, Err(LeftOut::UnmappedClass));
     let clip = attached(&mut truth, "a", [640, 360], 5).unwrap();
@@ -85,19 +85,23 @@ fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbe
     assert_eq!(cat.class, ClassId(1));
     assert_eq!(cat.object, Some(3));
     assert_eq!(cat.corners.x2, 60.0);
-    // The second frame has no file, the third has one without objects, and the last two have none either.
+    // Nobody labelled the frames without a file: 1, 3 and 4. That of frame 2 says that nothing is on it.
     assert_eq!(labelled_frames(&clip), [0, 2]);
+}
+
+#[test]
+fn imagenet_vid_for_other_pictures_is_refused() {
+    let nothing = imagenet_vid(&[]);
+    let files = folder(&[("val/a/000002.xml", &nothing)]);
+    let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &["cat"]).unwrap();
     let refused = attached(&mut truth, "a", [640, 360], 2).unwrap_err().to_string();
     assert!(refused.contains("3 frames, the clip has 2"), "{refused}");
     let refused = attached(&mut truth, "a", [64, 36], 5).unwrap_err().to_string();
     assert!(refused.contains("640x360"), "{refused}");
-    let refused = for_model(&files, "val", TruthFormat::ImageNetVid, &["helmet"])
-        .unwrap_err()
-        .to_string();
-    assert!(
-        refused.contains("antelope") && refused.contains("helmet"),
-        "{refused}"
-    );
+}
+
+#[test]
+fn a_broken_file_of_imagenet_vid_is_named() {
     for (text, part) in [
         ("<annotation>", "000000.xml"),
         ("<annotation/>", "no <size>"),
@@ -107,74 +111,103 @@ fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbe
     }
 }
 
-#[test]
-fn labels_of_a_video_that_list_some_frames_leave_the_others_unjudged() {
-    let frame = |index: usize| {
+/// Labels in the Scalabel form: a car on each of these frames of the video `drive`.
+fn labels_of_drive(frames: &[usize]) -> String {
+    let frame = |index: &usize| {
         format!(
             r#"{{"name": "{index}", "videoName": "drive", "frameIndex": {index}, "labels": [
             {{"category": "car", "box2d": {{"x1": 1, "y1": 2, "x2": 30, "y2": 40}}}}]}}"#
         )
     };
-    let list = |frames: &[usize]| {
-        let frames: Vec<String> = frames.iter().map(|index| frame(*index)).collect();
-        format!("[{}]", frames.join(","))
-    };
-    let read = |text: &str, pictures| {
-        let files = folder(&[("drive.json", text)]);
-        let mut truth = for_model(&files, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
-        attached(&mut truth, "drive", [640, 360], pictures)
-    };
-    let sparse = list(&[0, 30, 60]);
-    assert_eq!(labelled_frames(&read(&sparse, 90).unwrap()), [0, 30, 60]);
-    // The authors' labels name pictures, and leave out those without objects, the last ones, too.
-    let named = |place: usize| format!(r#"{{"name": "drive-{place:07}.jpg", "labels": []}}"#);
-    let named = format!("[{}, {}]", named(1), named(2));
-    assert_eq!(labelled_frames(&read(&named, 4).unwrap()), [0, 1]);
-    // Labels of all frames say how many there are.
-    let all = list(&[0, 1, 2]);
-    assert_eq!(labelled_frames(&read(&all, 3).unwrap()), [0, 1, 2]);
-    let refused = read(&all, 4).unwrap_err().to_string();
-    assert!(refused.contains("3 frames, the clip has 4"), "{refused}");
+    let frames: Vec<String> = frames.iter().map(frame).collect();
+    format!("[{}]", frames.join(","))
+}
+
+/// The clip `drive` of so many pictures with these labels.
+fn drive(labels: &str, pictures: usize) -> Result<Clip, EvalError> {
+    let files = folder(&[("drive.json", labels)]);
+    let mut truth = for_model(&files, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+    attached(&mut truth, "drive", [640, 360], pictures)
 }
 
 #[test]
-fn images_of_coco_are_frames_of_their_video_by_their_number_if_it_has_more() {
-    let set = |with_numbers: bool| {
-        let image = |id: usize, place: usize| {
-            let number = if with_numbers {
-                format!(r#""frame_index": {place},"#)
-            } else {
-                String::new()
-            };
-            let file = format!("train/YFCC/v_1/frame{:04}.jpg", place + 1);
-            format!(
-                r#"{{"id": {id}, "video_id": 7, {number} "file_name": "{file}", "width": 100, "height": 50}}"#
-            )
+fn frames_of_a_video_that_its_labels_do_not_list_are_not_judged() {
+    let clip = drive(&labels_of_drive(&[0, 30, 60]), 90).unwrap();
+    assert_eq!(labelled_frames(&clip), [0, 30, 60]);
+}
+
+#[test]
+fn pictures_behind_the_last_one_that_labels_name_are_not_judged() {
+    // The labels of the paper's authors name pictures, from 1, and leave out those without objects, be they the last.
+    let labels = r#"[{"name": "drive-0000001.jpg", "labels": []}, {"name": "drive-0000002.jpg", "labels": []}]"#;
+    assert_eq!(labelled_frames(&drive(labels, 4).unwrap()), [0, 1]);
+}
+
+#[test]
+fn labels_of_all_frames_of_a_video_are_for_so_many_pictures() {
+    let labels = labels_of_drive(&[0, 1, 2]);
+    assert_eq!(labelled_frames(&drive(&labels, 3).unwrap()), [0, 1, 2]);
+    let refused = drive(&labels, 4).unwrap_err().to_string();
+    assert!(refused.contains("3 frames, the clip has 4"), "{refused}");
+}
+
+/// A file of COCO with two images of a video, its first picture and its 31st, of which the second has a car. Their numbers say
+/// so, if they have some.
+fn two_images_of_a_video(with_numbers: bool) -> TempDir {
+    let image = |id: usize, place: usize| {
+        let number = if with_numbers {
+            format!(r#""frame_index": {place},"#)
+        } else {
+            String::new()
         };
+        let file = format!("train/YFCC/v_1/frame{:04}.jpg", place + 1);
         format!(
-            r#"{{"images": [{}, {}], "videos": [{{"id": 7, "name": "train/YFCC/v_1"}}],
-            "categories": [{{"id": 3, "name": "car"}}, {{"id": 4, "name": "bus"}}],
-            "annotations": [{{"image_id": 2, "category_id": 3, "track_id": 5, "instance_id": 5,
-                "bbox": [1, 2, 10, 20]}}]}}"#,
-            image(1, 0),
-            image(2, 30)
+            r#"{{"id": {id}, "video_id": 7, {number} "file_name": "{file}", "width": 100, "height": 50}}"#
         )
     };
-    let files = folder(&[("set.json", &set(true)), ("unnumbered.json", &set(false))]);
-    let truth = |file| for_model(&files, file, TruthFormat::Coco, &["car", "bus"]).unwrap();
-    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 40).unwrap();
+    let set = format!(
+        r#"{{"images": [{}, {}], "videos": [{{"id": 7, "name": "train/YFCC/v_1"}}],
+        "categories": [{{"id": 3, "name": "car"}}, {{"id": 4, "name": "bus"}}],
+        "annotations": [{{"image_id": 2, "category_id": 3, "track_id": 5, "instance_id": 5,
+            "bbox": [1, 2, 10, 20]}}]}}"#,
+        image(1, 0),
+        image(2, 30)
+    );
+    folder(&[("set.json", &set)])
+}
+
+/// The clip `v_1` of so many pictures with the labels of these `files`.
+fn v_1(files: &TempDir, pictures: usize) -> Result<Clip, EvalError> {
+    let mut truth = for_model(files, "set.json", TruthFormat::Coco, &["car", "bus"]).unwrap();
+    attached(&mut truth, "v_1", [100, 50], pictures)
+}
+
+#[test]
+fn images_of_coco_are_placed_by_their_numbers_in_a_video_of_more_pictures() {
+    let with_numbers = true;
+    let files = two_images_of_a_video(with_numbers);
+    let clip = v_1(&files, 40).unwrap();
     assert_eq!(labelled_frames(&clip), [0, 30]);
     assert_eq!(clip.truth.as_ref().unwrap()[30].len(), 1);
-    // A folder with the labelled pictures alone has them in their order.
-    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 2).unwrap();
-    assert_eq!((labelled_frames(&clip), clip.unlabelled()), (vec![0, 1], 0));
-    let refused = attached(&mut truth("set.json"), "v_1", [100, 50], 20).unwrap_err();
-    assert!(
-        refused.to_string().contains("31 frames, the clip has 20"),
-        "{refused}"
-    );
-    let refused = attached(&mut truth("unnumbered.json"), "v_1", [100, 50], 40).unwrap_err();
-    assert!(refused.to_string().contains("no frame_id"), "{refused}");
+    let refused = v_1(&files, 20).unwrap_err().to_string();
+    assert!(refused.contains("31 frames, the clip has 20"), "{refused}");
+}
+
+#[test]
+fn images_of_coco_without_numbers_are_refused_for_a_video_of_more_pictures() {
+    let with_numbers = false;
+    let refused = v_1(&two_images_of_a_video(with_numbers), 40).unwrap_err().to_string();
+    assert!(refused.contains("no frame_id"), "{refused}");
+}
+
+#[test]
+fn images_of_coco_are_the_pictures_in_their_order_if_there_are_no_more() {
+    for with_numbers in [true, false] {
+        let clip = v_1(&two_images_of_a_video(with_numbers), 2).unwrap();
+        assert_eq!(labelled_frames(&clip), [0, 1]);
+        assert_eq!(clip.unlabelled(), 0);
+        assert_eq!(clip.truth.as_ref().unwrap()[1].len(), 1);
+    }
 }
 
 #[test]
@@ -214,8 +247,8 @@ fn a_video_of_tao_is_judged_by_the_classes_that_it_is_labelled_for() {
             object: None,
         };
         let mut found = clip.truth.clone().unwrap();
-        for found in &mut found[0] {
-            found.confidence = 0.5;
+        for right in &mut found[0] {
+            right.confidence = 0.5;
         }
         found[0].push(beside);
         let truth = Truth {
@@ -226,33 +259,72 @@ fn a_video_of_tao_is_judged_by_the_classes_that_it_is_labelled_for() {
     };
     let is_excused = [0, 1, 2, 3].map(|class| judged(class) == 1.0);
     assert_eq!(is_excused, [false, true, false, true]);
-    let clip = attached(&mut truth, "b", [100, 50], 1).unwrap();
-    assert!(clip.ignored.iter().all(Vec::is_empty));
+    // The other video does not say for which classes it is labelled: for all.
+    let other = attached(&mut truth, "b", [100, 50], 1).unwrap();
+    assert!(other.ignored.iter().all(Vec::is_empty));
 }
 
 #[test]
 fn a_model_without_any_class_of_the_ground_truth_is_refused_in_every_layout() {
+    // A car in each.
+    let car = imagenet_vid(&[("n02958343", 10)]);
     let files = folder(&[
-        ("annotations/uav.txt", "1,1,10,20,30,40,1,5,0,0\n"),
         (
-            "label_02/0007.txt",
-            "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n",
+            "bdd100k.json",
+            r#"[{"name": "a", "labels": [{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#,
         ),
         (
-            "l.json",
-            r#"[{"name": "a", "labels": [{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#,
+            "motchallenge/seqinfo.ini",
+            "[Sequence]\nname=a\nseqLength=1\nimWidth=640\nimHeight=480\n",
+        ),
+        ("motchallenge/gt/gt.txt", "1,1,10,20,30,40,1,3,1\n"),
+        (
+            "kitti/label_02/0007.txt",
+            "0 1 Car 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n",
+        ),
+        (
+            "coco.json",
+            r#"{"images": [{"id": 1, "width": 640, "height": 480}], "categories": [{"id": 3, "name": "car"}],
+            "annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 20, 30, 40]}]}"#,
+        ),
+        ("visdrone/annotations/a.txt", "1,1,10,20,30,40,1,4,0,0\n"),
+        ("imagenet-vid/a/000000.xml", &car),
+        (
+            "recorded/sequences.json",
+            r#"{"sequences": [{"name": "a", "width": 640, "height": 480, "frames": 1}]}"#,
+        ),
+        (
+            "recorded/detections/a.csv",
+            "frame,x1,y1,x2,y2,score,class\n",
+        ),
+        (
+            "recorded/groundtruth/a.csv",
+            "frame,x1,y1,x2,y2,class,object_id\n0,10,20,40,60,2,1\n",
         ),
     ]);
     for (path, format) in [
-        ("", TruthFormat::VisDrone),
-        ("", TruthFormat::Kitti),
-        ("l.json", TruthFormat::Bdd100k),
+        ("bdd100k.json", TruthFormat::Bdd100k),
+        ("motchallenge", TruthFormat::MotChallenge),
+        ("kitti", TruthFormat::Kitti),
+        ("coco.json", TruthFormat::Coco),
+        ("visdrone", TruthFormat::VisDrone),
+        ("imagenet-vid", TruthFormat::ImageNetVid),
+        ("recorded", TruthFormat::Recorded),
     ] {
         let refused = for_model(&files, path, format, &["helmet", "vest"]).unwrap_err().to_string();
-        assert!(
-            refused.contains("person, bicycle") && refused.contains("helmet"),
-            "{refused}"
-        );
+        assert!(refused.contains("car"), "{path}: {refused}");
+        assert!(refused.contains("helmet, vest"), "{path}: {refused}");
         for_model(&files, path, format, &["helmet", "car"]).unwrap();
     }
+}
+
+#[test]
+fn a_model_without_the_classes_of_one_s_own_labels_is_told_both() {
+    let antelope = imagenet_vid(&[("n02419796", 200)]);
+    let files = folder(&[("val/a/000000.xml", &antelope)]);
+    let refused = for_model(&files, "val", TruthFormat::ImageNetVid, &["helmet"])
+        .unwrap_err()
+        .to_string();
+    assert!(refused.contains("antelope"), "{refused}");
+    assert!(refused.contains("helmet"), "{refused}");
 }

@@ -18,9 +18,10 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
         ("train/M/img1/000002.jpg", ""),
         ("train/M/img1/000001.jpg", ""),
     ]);
-    let clips = mot_challenge::read(&files.path().join("train")).unwrap();
-    let clip = &clips.clips[0];
-    assert_eq!((clip.name.as_str(), clip.frames), ("M", 2));
+    let data = mot_challenge::read(&files.path().join("train")).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!(clip.name, "M");
+    assert_eq!(clip.frames, 2);
     assert_eq!(clip.frame_rate, Some(30.0));
     assert!(clip.pictures[0].ends_with("000001.jpg"));
     let truth = clip.truth.as_ref().unwrap();
@@ -31,9 +32,9 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     assert!(truth[1].is_empty());
     let marks: Vec<_> = clip.ignored[1].iter().map(|ignored| ignored.mark).collect();
     assert_eq!(marks, [Mark::Unjudged, Mark::Distractor]);
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
-    assert_eq!(clips.report.left_out[&LeftOut::Unjudged].0, 1);
-    assert_eq!(clips.report.unmapped_classes["6"], 1);
+    assert_eq!(data.report.left_out[&LeftOut::IgnoredRegion].0, 1);
+    assert_eq!(data.report.left_out[&LeftOut::Unjudged].0, 1);
+    assert_eq!(data.report.unmapped_classes["6"], 1);
     assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
     let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
     assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
@@ -80,9 +81,11 @@ fn visdrone_marks_regions_others_and_objects_of_score_zero() {
     let files = folder(&[("annotations/uav.txt", rows)]);
     let data = visdrone::read(files.path(), PictureSize::new(640, 360)).unwrap();
     let clip = &data.clips[0];
-    assert_eq!((clip.name.as_str(), clip.frames), ("uav", 2));
+    assert_eq!(clip.name, "uav");
+    assert_eq!(clip.frames, 2);
     let truth = clip.truth.as_ref().unwrap();
-    assert_eq!((truth[0][0].class, truth[0][0].object), (CAR, Some(1)));
+    assert_eq!(truth[0][0].class, CAR);
+    assert_eq!(truth[0][0].object, Some(1));
     assert_eq!(truth[0][0].corners.x2, 40.0);
     assert!(truth[1].is_empty());
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
@@ -98,67 +101,90 @@ fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
                  2 3 Cyclist 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n";
     let found = "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n";
     let files = folder(&[("label_02/0007.txt", label), ("det_02/0007.txt", found)]);
-    let clips = kitti::read(files.path()).unwrap();
-    let clip = &clips.clips[0];
-    assert_eq!((clip.name.as_str(), clip.frames), ("0007", 4));
+    let data = kitti::read(files.path()).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!(clip.name, "0007");
+    assert_eq!(clip.frames, 4);
     let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[0][0].class, CAR);
     assert_eq!(truth[2].len(), 1);
     assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
     let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
-    assert_eq!((regions[0], clip.ignored[0][0].corners.x2), (1, 5.0));
+    assert_eq!(regions[0], 1);
+    assert_eq!(clip.ignored[0][0].corners.x2, 5.0);
     assert!(regions[1..].iter().all(|&count| count == 0));
-    assert_eq!(clips.report.unmapped_classes["Tram"], 1);
+    assert_eq!(data.report.unmapped_classes["Tram"], 1);
+}
+
+/// Labels of BDD100K in its older spelling, of the first and the third frame of a video and of one frame of another.
+const OLD_SPELLING: &str = r#"[{"name": "v-1.jpg", "video_name": "v", "index": 0, "labels": [
+    {"id": "00122062", "category": "rider", "attributes": {"Crowd": true},
+     "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}},
+    {"id": "3", "category": "trailer", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]},
+    {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null},
+    {"name": "w-1.jpg", "video_name": "w", "index": 0, "labels": null}]"#;
+
+/// Predictions for the second frame of the first video, in the newer spelling.
+const NEW_SPELLING: &str = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
+    {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
+
+/// Reads a file of labels and one of predictions, as far as they are given.
+fn bdd100k(
+    labels: Option<&str>,
+    predictions: Option<&str>,
+    rules: Rules,
+) -> Result<DataSet, EvalError> {
+    let files = folder(&[
+        ("gt.json", labels.unwrap_or_default()),
+        ("pred.json", predictions.unwrap_or_default()),
+    ]);
+    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
+    bdd100k::read(&bdd100k::Source {
+        truth: labels.is_some().then_some(&truth),
+        detections: predictions.is_some().then_some(&found),
+        picture: PictureSize::new(1280, 720),
+        frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+        rules,
+    })
 }
 
 #[test]
 fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
-    let old = r#"[{"name": "v-1.jpg", "video_name": "v", "index": 0, "labels": [
-        {"id": "00122062", "category": "rider", "attributes": {"Crowd": true},
-         "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}},
-        {"id": "3", "category": "trailer", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]},
-        {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null},
-        {"name": "w-1.jpg", "video_name": "w", "index": 0, "labels": null}]"#;
-    let new = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
-        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
-    let files = folder(&[("gt.json", old), ("pred.json", new)]);
-    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
-    let source = |truth, detections| bdd100k::Source {
-        truth,
-        detections,
-        picture: PictureSize::new(1280, 720),
-        frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
-        rules: Rules::Paper,
-    };
-    // The benchmark judges neither crowds nor trailers.
-    let judged = bdd100k::Source {
-        rules: Rules::Benchmark,
-        ..source(Some(&truth), Some(&found))
-    };
-    let judged = bdd100k::read(&judged).unwrap();
-    assert!(judged.clips[0].truth.as_ref().unwrap()[0].is_empty());
-    let regions: Vec<usize> = judged.clips[0].ignored.iter().map(Vec::len).collect();
+    // The paper's evaluator takes a crowd for an object, and does not know trailers.
+    let data = bdd100k(Some(OLD_SPELLING), Some(NEW_SPELLING), Rules::Paper).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!(clip.name, "v");
+    assert_eq!(clip.frames, 3);
+    let rider = clip.truth.as_ref().unwrap()[0][0];
+    assert_eq!(rider.class, PERSON);
+    assert_eq!(rider.object, Some(122_062));
+    assert_eq!(data.report.unmapped_classes["trailer"], 1);
+    let marks: Vec<_> = clip.ignored.iter().flatten().collect();
+    assert_eq!(marks, [&Ignored::UNLABELLED], "of the second frame");
+    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
+    assert_eq!(data.clips[1].detections, None, "no predictions for `w`");
+}
+
+#[test]
+fn crowds_and_trailers_of_bdd100k_are_not_judged_by_its_own_rules() {
+    let data = bdd100k(Some(OLD_SPELLING), None, Rules::Benchmark).unwrap();
+    let clip = &data.clips[0];
+    assert!(clip.truth.as_ref().unwrap()[0].is_empty());
+    let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!(
         regions,
         [2, 1, 0],
         "the labels do not list the second frame"
     );
-    assert_eq!(judged.clips[0].unlabelled(), 1);
-    // The paper's evaluator takes a crowd for an object, and does not know trailers.
-    let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
-    assert_eq!(clips.clips[0].ignored.iter().flatten().count(), 1);
-    let clip = &clips.clips[0];
-    assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
-    let rider = clip.truth.as_ref().unwrap()[0][0];
-    assert_eq!((rider.class, rider.object), (PERSON, Some(122_062)));
-    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
-    assert_eq!(clips.clips[1].detections, None, "no predictions for `w`");
-    assert_eq!(clips.report.unmapped_classes["trailer"], 1);
-    // Ground truth in place of predictions is an error, and so is a repeated frame.
-    let swapped = bdd100k::read(&source(None, Some(&truth)));
-    assert_refused(swapped, &["has no `score`"]);
-    let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
-    let repeated = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None));
+    assert_eq!(clip.unlabelled(), 1);
+}
+
+#[test]
+fn predictions_without_scores_and_repeated_frames_of_bdd100k_are_refused() {
+    let labels_for_predictions = bdd100k(None, Some(OLD_SPELLING), Rules::Paper);
+    assert_refused(labels_for_predictions, &["has no `score`"]);
+    let twice = OLD_SPELLING.replace("\"index\": 2", "\"index\": 0");
+    let repeated = bdd100k(Some(&twice), None, Rules::Paper);
     assert_refused(repeated, &["occurs twice"]);
 }
 
@@ -206,9 +232,10 @@ fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
     let found = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
     let files = folder(&[("set.json", set), ("results.json", found)]);
     let [set, results] = ["set.json", "results.json"].map(|name| files.path().join(name));
-    let clips = coco::read(&set, Some(&results)).unwrap();
-    let clip = &clips.clips[0];
-    assert_eq!((clip.name.as_str(), clip.frames), ("v", 2));
+    let data = coco::read(&set, Some(&results)).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!(clip.name, "v");
+    assert_eq!(clip.frames, 2);
     let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[1][0].object, Some(8));
     assert_eq!(truth[1][0].corners.x2, 11.0);
@@ -218,9 +245,9 @@ fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
         clip.ignored[1].iter().map(|ignored| (ignored.mark, ignored.class)).collect();
     let car = Some(CAR);
     assert_eq!(marks, [(Mark::Crowd, car), (Mark::Object, car)]);
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
-    assert_eq!(clips.report.left_out[&LeftOut::EmptyBox].0, 1);
-    assert_eq!(clips.report.unmapped_classes["boat"], 2);
+    assert_eq!(data.report.left_out[&LeftOut::IgnoredRegion].0, 2);
+    assert_eq!(data.report.left_out[&LeftOut::EmptyBox].0, 1);
+    assert_eq!(data.report.unmapped_classes["boat"], 2);
     let lost = found.replace("\"image_id\": 4", "\"image_id\": 77");
     std::fs::write(&results, lost).unwrap();
     assert_refused(coco::read(&set, Some(&results)), &["image 77"]);

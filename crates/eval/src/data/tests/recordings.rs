@@ -39,10 +39,8 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
     assert_eq!(detections[0][0].class, CAR);
     assert_eq!(clip.truth.as_ref().unwrap()[1][0].object, Some(7));
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
-    assert_eq!(
-        (regions, clip.ignored[1][0].corners.y2),
-        (vec![0, 1, 0], 20.5)
-    );
+    assert_eq!(regions, [0, 1, 0]);
+    assert_eq!(clip.ignored[1][0].corners.y2, 20.5);
     let copy = tempfile::tempdir().unwrap();
     recorded::write(copy.path(), &read.clips).unwrap();
     let again = recorded::read(copy.path()).unwrap();
@@ -112,9 +110,13 @@ fn a_broken_row_is_named_with_file_and_line() {
         let parts = ["detections/a.csv:3: ", part];
         assert_refused(recorded(INDEX, Some(&rows), None), &parts);
     }
-    let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
+}
+
+#[test]
+fn a_file_that_is_missing_or_not_what_its_name_says_is_named() {
     let parts = ["detections/a.csv", "needs its detections"];
     assert_refused(recorded(INDEX, None, None), &parts);
+    let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
     let header = "a.csv:1: the header is `frame,x`";
     assert_refused(recorded::read(files.path()), &[header]);
     let index = "{\n\"sequences\": [{]}";
@@ -137,15 +139,15 @@ fn an_impossible_description_is_rejected() {
 fn meaningless_rows_are_dropped_counted_and_named() {
     let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
-    let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
-    let report = &clips.report;
+    let data = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
+    let report = &data.report;
     let counted = |reason| report.left_out.get(&reason).map_or(0, |(count, _)| *count);
     assert_eq!(counted(LeftOut::NotFinite), 2);
     assert_eq!(counted(LeftOut::EmptyBox), 3);
     assert_eq!(counted(LeftOut::OutsidePicture), 1);
     assert_eq!(counted(LeftOut::ConfidenceRange), 1);
     assert_eq!(report.reaching_outside, 1);
-    let kept = clips.clips[0].detections.iter().flatten().flatten();
+    let kept = data.clips[0].detections.iter().flatten().flatten();
     assert_eq!(kept.count(), 1);
     let lines = report.lines().join("\n");
     assert!(lines.contains("detections/a.csv:2"), "{lines}");
@@ -153,11 +155,12 @@ fn meaningless_rows_are_dropped_counted_and_named() {
 
 #[test]
 fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
-    let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
-    let lines = clips.report.lines().join("\n");
+    let undetected = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
+    let lines = undetected.report.lines().join("\n");
     assert!(lines.contains("no detections"), "{lines}");
-    let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
-    assert!(clips.report.lines()[0].contains("no ground truth"));
+    let unlabelled = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
+    let lines = unlabelled.report.lines().join("\n");
+    assert!(lines.contains("no ground truth"), "{lines}");
     // The index counts boxes.
     let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
     assert_refused(recorded(&counted, Some(""), None), &["groundtruth/a.csv"]);
