@@ -52,12 +52,12 @@ struct Work {
 impl Work {
     /// The work on one frame.
     fn on_frame(state: FrameState, examined: bool) -> Self {
-        let is_any_of = |states: &[FrameState]| f64::from(u8::from(states.contains(&state)));
+        let once_if = |is_done: bool| f64::from(u8::from(is_done));
         Self {
-            detector: is_any_of(&[FrameState::EI, FrameState::I, FrameState::AI]),
-            predicted: is_any_of(&[FrameState::P]),
-            screen: is_any_of(&[FrameState::E, FrameState::EI]),
-            looks: f64::from(u8::from(examined)),
+            detector: once_if(!state.is_skipped()),
+            predicted: once_if(state == FrameState::P),
+            screen: once_if(matches!(state, FrameState::E | FrameState::EI)),
+            looks: once_if(examined),
         }
     }
 }
@@ -203,6 +203,7 @@ mod tests {
 
     #[test]
     fn a_projection_sums_the_frames_and_is_marked_as_such() {
+        // One frame in each of the five states: the detector runs on three, the screen on two.
         let (energy, time) = projected(&model(), result(&FrameState::ALL));
         assert!((energy.joules - (3.0 * 4.0 + 0.5 + 2.0 * 1.0)).abs() < 1e-12);
         assert!((energy.duration_s - 0.175).abs() < 1e-12);

@@ -7,6 +7,7 @@ mod mot;
 use crate::error::EvalError;
 use crate::footage::clip_name;
 use albireo_recording::is_recording;
+use frames::LabelledFrame;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -86,7 +87,7 @@ pub fn export(
     for path in recordings {
         let before = exported.pictures;
         let mut sequences = BTreeMap::<String, mot::Sequence>::new();
-        let read = frames::read(path, frames, |frame| {
+        let write_frame = |frame: LabelledFrame| {
             exported.pictures += 1;
             exported.boxes += frame.boxes.len() as u64;
             match format {
@@ -98,12 +99,15 @@ pub fn export(
                     sequence.add(&frame)
                 }
             }
-        });
-        exported.left_out.extend(read?);
+        };
+        let left_out = frames::read(path, frames, write_frame)?;
+        exported.left_out.extend(left_out);
         for sequence in sequences.into_values() {
             exported.notes.extend(sequence.finish()?);
         }
-        exported.recordings += u64::from(exported.pictures > before);
+        if exported.pictures > before {
+            exported.recordings += 1;
+        }
         done(&exported);
     }
     if exported.pictures == 0 {

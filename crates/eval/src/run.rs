@@ -67,25 +67,22 @@ fn in_parallel<'a>(
         .num_threads(settings.threads)
         .build()
         .map_err(no_threads)?;
+    let take = |step: &Step| -> Result<(Step, ClipResult), EvalError> {
+        let result = work(clips[step.clip], &policies[step.policy], settings);
+        done();
+        Ok((*step, result?))
+    };
     // The bridge hands the steps out in this order; their results come back in any.
-    let mut results = pool.install(|| {
-        steps
-            .iter()
-            .par_bridge()
-            .map(|step| {
-                let result = work(clips[step.clip], &policies[step.policy], settings);
-                done();
-                Ok((*step, result?))
-            })
-            .collect::<Result<Vec<_>, EvalError>>()
-    })?;
+    let taken: Result<Vec<_>, EvalError> =
+        pool.install(|| steps.iter().par_bridge().map(take).collect());
+    let mut results = taken?;
     results.sort_by_key(|(step, _)| *step);
     Ok(results.into_iter().map(|(_, result)| result).collect())
 }
 
 /// Creates the error for a clip that lacks the evidence that a policy needs.
-fn no_evidence(clip: &Clip, policy: &PolicySpec, source: EvalError) -> EvalError {
-    source.context(format!("policy {}, clip {}", policy.label, clip.name))
+fn no_evidence(clip: &Clip, policy: &PolicySpec, error: EvalError) -> EvalError {
+    error.context(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
 /// Computes the figures of one policy over one clip.
@@ -100,7 +97,7 @@ fn run_policy(
     let mut decider = policy.build(clip.frame_rate)?;
     let profile = profile_of(decider.name(), settings.profile);
     let mut source =
-        StoredEvidence::new(clip, settings).map_err(|source| no_evidence(clip, policy, source))?;
+        StoredEvidence::new(clip, settings).map_err(|error| no_evidence(clip, policy, error))?;
     let replayed = replay(
         decider.as_mut(),
         &mut source,
@@ -108,7 +105,7 @@ fn run_policy(
         settings.min_confidence(),
         settings.traces.is_some(),
     )
-    .map_err(|source| no_evidence(clip, policy, source))?;
+    .map_err(|error| no_evidence(clip, policy, error))?;
     if let (Some(folder), Some(frames)) = (&settings.traces, &replayed.trace) {
         let file = format!("{}.jsonl.gz", clip.name);
         trace::write(&folder.join(&policy.label).join(file), frames)?;
@@ -121,8 +118,10 @@ fn run_policy(
             // The published evaluator has no ignored regions.
             only_unlabelled(ignored.to_mut());
         }
-        let ignored = ignored.as_slice();
-        let truth = Truth { objects, ignored };
+        let truth = Truth {
+            objects,
+            ignored: &ignored,
+        };
         figures::judge(&mut result, truth, &replayed, &clip.classes, settings);
     }
     if settings.keep_worst {

@@ -43,12 +43,12 @@ pub(super) fn read(
             let picture = picture_in_protobuf(&message.data).ok();
             pictures.insert(camera.to_owned(), (message.time_ns, picture));
         } else if topic == boxes {
-            let picture = match pictures.remove(camera) {
-                Some((time, picture)) if time == message.time_ns => picture,
-                _ => None,
-            };
-            let labelled =
-                picture.and_then(|picture| frame(camera, frames, picture, &message.data));
+            let mut labelled = None;
+            if let Some((time, Some(picture))) = pictures.remove(camera)
+                && time == message.time_ns
+            {
+                labelled = frame(camera, frames, picture, &message.data);
+            }
             match labelled {
                 Some(frame) => each(frame)?,
                 None => incomplete += 1,
@@ -68,6 +68,7 @@ pub(super) fn read(
     Ok(left_out)
 }
 
+/// The frame with its boxes, which are in the `text` of a message; `None` if that cannot be read.
 fn frame(
     camera: &str,
     frames: ExportedFrames,
@@ -75,28 +76,28 @@ fn frame(
     text: &Bytes,
 ) -> Option<LabelledFrame> {
     let camera = camera.to_owned();
-    Some(match frames {
+    match frames {
         ExportedFrames::Audit => {
             let audit: AuditMessage = serde_json::from_slice(text).ok()?;
-            LabelledFrame {
+            Some(LabelledFrame {
                 camera,
                 t_ns: audit.t_ns,
                 seq: audit.seq,
                 size: [audit.width, audit.height],
                 picture,
                 boxes: audit.detected,
-            }
+            })
         }
         ExportedFrames::Shown => {
             let shown: DetectionsMessage = serde_json::from_slice(text).ok()?;
-            LabelledFrame {
+            Some(LabelledFrame {
                 camera,
                 t_ns: shown.t_ns,
                 seq: shown.seq,
                 size: [shown.width, shown.height],
                 picture,
                 boxes: shown.boxes,
-            }
+            })
         }
-    })
+    }
 }

@@ -6,7 +6,6 @@ use crate::error::EvalError;
 use crate::files::write;
 use crate::footage::Pace;
 use crate::text::counted;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// MOTChallenge's numbers of the classes that it has.
@@ -67,20 +66,17 @@ impl Sequence {
             let left = left + 1.0;
             let top = top + 1.0;
             let place = format!("{left:.2},{top:.2},{width:.2},{height:.2}");
-            // Writing into text cannot fail.
-            let _ = match (self.frames, found.object) {
+            let row = match (self.frames, found.object) {
                 // The columns of gt.txt; track ids count from 1.
                 (ExportedFrames::Shown, Some(object)) => {
                     let class = self.class(&found.class);
-                    writeln!(self.rows, "{number},{},{place},1,{class},1", object.0 + 1)
+                    format!("{number},{},{place},1,{class},1", object.0 + 1)
                 }
                 // The columns of det.txt: no track, a confidence.
-                _ => writeln!(
-                    self.rows,
-                    "{number},-1,{place},{:.4},-1,-1,-1",
-                    found.confidence
-                ),
+                _ => format!("{number},-1,{place},{:.4},-1,-1,-1", found.confidence),
             };
+            self.rows.push_str(&row);
+            self.rows.push('\n');
         }
         Ok(())
     }
@@ -118,12 +114,14 @@ impl Sequence {
         );
         write(&self.folder.join("seqinfo.ini"), info)?;
         let jumps = pace.map_or(0, |pace| pace.jumps);
-        let note = format!(
+        if jumps == 0 {
+            return Ok(None);
+        }
+        Ok(Some(format!(
             "{}: its frames are no single drive: their times jump {} (a replay that loops, a pause between events); frameRate \
              is that between the jumps",
             self.name,
             counted(jumps, "time")
-        );
-        Ok((jumps > 0).then_some(note))
+        )))
     }
 }

@@ -86,7 +86,9 @@ fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
         told.push(so_far.pictures);
     })
     .unwrap();
-    assert_eq!((done.recordings, done.pictures, done.boxes), (2, 4, 4));
+    assert_eq!(done.recordings, 2);
+    assert_eq!(done.pictures, 4);
+    assert_eq!(done.boxes, 4);
     assert_eq!(told, [2, 4]);
     assert!(done.left_out.is_empty(), "{:?}", done.left_out);
     let text = std::fs::read(out.join("annotations.json")).unwrap();
@@ -117,7 +119,8 @@ fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
         y2: 42.0,
     };
     for found in boxes {
-        assert_eq!((found.class, found.corners), (car, place));
+        assert_eq!(found.class, car);
+        assert_eq!(found.corners, place);
     }
 }
 
@@ -140,7 +143,8 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
     let out = folder.path().join("out");
     let shown = ExportedFrames::Shown;
     let done = export(&files, &out, ExportFormat::Mot, shown, |_| {}).unwrap();
-    assert_eq!((done.pictures, done.boxes), (4, 8));
+    assert_eq!(done.pictures, 4);
+    assert_eq!(done.boxes, 8);
     let read = data::mot_challenge::read(&out).unwrap();
     assert_eq!(read.clips.len(), 1);
     let rows = std::fs::read_to_string(out.join("a_front/gt/gt.txt")).unwrap();

@@ -83,27 +83,33 @@ pub fn accuracy<'a>(
     let truth = truth.into();
     match classes {
         Classes::Pooled => Matches::of(predictions, truth, interpolation).accuracy(),
-        Classes::Separate => {
-            let predictions = without_fixed(predictions, truth, classes);
-            let by_class = of_each_class(&predictions, truth, interpolation);
-            let count = by_class.len() as f64;
-            if by_class.is_empty() {
-                return None;
-            }
-            let mean =
-                |figure: fn(&Accuracy) -> f64| by_class.values().map(figure).sum::<f64>() / count;
-            Some(Accuracy {
-                ap50: mean(|class| class.ap50),
-                ap75: mean(|class| class.ap75),
-                map: mean(|class| class.map),
-                f1_50_shown: mean(|class| class.f1_50_shown),
-                precision: mean(|class| class.precision),
-                recall: mean(|class| class.recall),
-                predictions: predictions.iter().map(Vec::len).sum(),
-                truths: truth.objects.iter().map(Vec::len).sum(),
-            })
-        }
+        Classes::Separate => mean_over_classes(predictions, truth, interpolation),
     }
+}
+
+/// The mean over the classes that have ground truth.
+fn mean_over_classes(
+    predictions: &[Vec<ScoredBox>],
+    truth: Truth<'_>,
+    interpolation: Interpolation,
+) -> Option<Accuracy> {
+    let predictions = without_fixed(predictions, truth, Classes::Separate);
+    let by_class = of_each_class(&predictions, truth, interpolation);
+    if by_class.is_empty() {
+        return None;
+    }
+    let count = by_class.len() as f64;
+    let mean = |figure: fn(&Accuracy) -> f64| by_class.values().map(figure).sum::<f64>() / count;
+    Some(Accuracy {
+        ap50: mean(|class| class.ap50),
+        ap75: mean(|class| class.ap75),
+        map: mean(|class| class.map),
+        f1_50_shown: mean(|class| class.f1_50_shown),
+        precision: mean(|class| class.precision),
+        recall: mean(|class| class.recall),
+        predictions: predictions.iter().map(Vec::len).sum(),
+        truths: truth.objects.iter().map(Vec::len).sum(),
+    })
 }
 
 /// What became of the predictions of one clip or several, with all classes pooled.
@@ -121,8 +127,9 @@ impl Matches {
         interpolation: Interpolation,
     ) -> Self {
         let predictions = without_fixed(predictions, truth, Classes::Pooled);
+        let any_class = None;
         Self {
-            matching: Matching::new(&predictions, truth, None),
+            matching: Matching::new(&predictions, truth, any_class),
             interpolation,
         }
     }
@@ -184,7 +191,8 @@ fn of_each_class(
 /// Counts the objects of one frame that `found` matches at IoU 0.5.
 pub(crate) fn hits(found: &[ScoredBox], objects: &[ScoredBox]) -> usize {
     let objects = [objects.to_vec()];
-    Matching::new(&[found.to_vec()], (&objects).into(), None).hits()
+    let any_class = None;
+    Matching::new(&[found.to_vec()], (&objects).into(), any_class).hits()
 }
 
 /// The predictions of a clip in falling order of confidence, and what became of each.
@@ -201,6 +209,7 @@ struct Matching {
 }
 
 impl Matching {
+    /// Matches the boxes of `class`; all if it is `None`.
     fn new(predictions: &[Vec<ScoredBox>], truth: Truth<'_>, class: Option<ClassId>) -> Self {
         let mut ranked: Vec<(f64, Outcome)> = Vec::new();
         let mut truths = 0;

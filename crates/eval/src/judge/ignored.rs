@@ -8,6 +8,7 @@ use super::assignment::assign;
 use super::frame_matching::{self, IOU_THRESHOLDS};
 use super::truth::{Ignored, Mark, Truth};
 use crate::boxes::ScoredBox;
+use albireo_core::geometry::Corners;
 use std::borrow::Cow;
 
 /// The overlap from which a box is taken to be on an object.
@@ -26,7 +27,7 @@ pub(super) fn without_fixed<'a>(
     }
     let mut judged = Vec::with_capacity(predictions.len());
     for (frame, found) in predictions.iter().enumerate() {
-        let excused = excused(found, truth.objects(frame), truth.ignored(frame), classes);
+        let excused = excused_boxes(found, truth.objects(frame), truth.ignored(frame), classes);
         judged.push(not_excused(found, &excused));
     }
     Cow::Owned(judged)
@@ -62,7 +63,7 @@ pub(super) fn is_of_coco(mark: Mark) -> bool {
 }
 
 /// Tells for each box of a frame whether a mark with a fixed threshold leaves it out.
-fn excused(
+fn excused_boxes(
     found: &[ScoredBox],
     objects: &[ScoredBox],
     ignored: &[Ignored],
@@ -71,18 +72,19 @@ fn excused(
     if ignored.contains(&Ignored::UNLABELLED) {
         return vec![true; found.len()];
     }
-    let mut excused = vec![false; found.len()];
-    let regions = || ignored.iter().filter(|ignored| ignored.mark == Mark::Region);
-    for (found, excused) in found.iter().zip(&mut excused) {
-        let own = found.corners;
+    let mut excused = Vec::with_capacity(found.len());
+    for one in found {
+        let own = one.corners;
+        let is_inside = |ignored: &Ignored| {
+            ignored.mark == Mark::Region
+                && ignored.concerns(one.class)
+                && 2.0 * own.shared_area(ignored.corners) >= own.area()
+        };
         let is_object = |object: &ScoredBox| {
-            are_comparable(object, found, classes)
+            are_comparable(object, one, classes)
                 && own.intersection_over_union(object.corners) >= SAME_OBJECT
         };
-        let is_inside = |region: &Ignored| {
-            region.concerns(found.class) && 2.0 * own.shared_area(region.corners) >= own.area()
-        };
-        *excused = regions().any(is_inside) && !objects.iter().any(is_object);
+        excused.push(ignored.iter().any(is_inside) && !objects.iter().any(is_object));
     }
     if ignored.iter().any(|ignored| ignored.mark == Mark::Distractor) {
         for index in on_distractors(found, objects, ignored, classes) {
@@ -103,30 +105,27 @@ fn on_distractors(
         .iter()
         .filter(|ignored| matches!(ignored.mark, Mark::Distractor | Mark::Unjudged))
         .collect();
-    let overlap = |own: &ScoredBox, other, comparable: bool| {
-        let iou = own.corners.intersection_over_union(other);
-        if comparable && iou >= SAME_OBJECT {
+    let score = |one: &ScoredBox, place: Corners, is_comparable: bool| {
+        let iou = one.corners.intersection_over_union(place);
+        if is_comparable && iou >= SAME_OBJECT {
             iou
         } else {
             0.0
         }
     };
-    let of_objects = objects.iter().flat_map(|object| {
-        found.iter().map(|found| {
-            overlap(
-                found,
-                object.corners,
-                are_comparable(object, found, classes),
-            )
-        })
-    });
-    let of_labelled = labelled.iter().flat_map(|labelled| {
-        found
-            .iter()
-            .map(|found| overlap(found, labelled.corners, labelled.concerns(found.class)))
-    });
     // A row for each object, then one for each of the labelled; a column for each box.
-    let scores: Vec<f64> = of_objects.chain(of_labelled).collect();
+    let mut scores = Vec::new();
+    for object in objects {
+        for one in found {
+            let is_comparable = are_comparable(object, one, classes);
+            scores.push(score(one, object.corners, is_comparable));
+        }
+    }
+    for place in &labelled {
+        for one in found {
+            scores.push(score(one, place.corners, place.concerns(one.class)));
+        }
+    }
     let mut on_distractors = Vec::new();
     for (row, column) in assign(objects.len() + labelled.len(), found.len(), &scores) {
         // The assignment also pairs what does not overlap.
@@ -147,11 +146,10 @@ fn are_comparable(object: &ScoredBox, found: &ScoredBox, classes: Classes) -> bo
 
 #[cfg(test)]
 mod tests {
-    use super::super::average_precision::tests::{at, pooled, scored, square};
+    use super::super::average_precision::tests::{at, scored, square};
     use super::super::{Accuracy, Interpolation, accuracy};
     use super::*;
     use albireo_core::detection::ClassId;
-    use albireo_core::geometry::Corners;
 
     fn marked(corners: Corners, mark: Mark) -> Ignored {
         Ignored {
@@ -252,8 +250,8 @@ mod tests {
         assert_eq!(kept(vec![at(0.0, 0.9)], &[], vec![cars]), [0.9]);
     }
 
-    /// A car and a crowd with three boxes in it, on one frame.
-    fn crowded(mark: Mark) -> Accuracy {
+    /// A car, and a long marked place with all four boxes in it, of which the second and the last overlap the car by half.
+    fn car_in_a_long_place(mark: Mark) -> Accuracy {
         let found = [vec![
             at(100.0, 0.99),
             at(2.0, 0.98),
@@ -274,20 +272,25 @@ mod tests {
     }
 
     #[test]
-    fn a_crowd_takes_any_number_of_boxes_and_an_ignored_object_one() {
-        // Three boxes are right or in the crowd; the object goes to the better of two that overlap it.
-        let crowd = crowded(Mark::Crowd);
+    fn any_number_of_boxes_in_a_crowd_are_left_out() {
+        // The surer of the two takes the car; the three others are in the crowd.
+        let crowd = car_in_a_long_place(Mark::Crowd);
         assert_eq!([crowd.ap50, crowd.precision], [1.0, 1.0]);
         assert_eq!(crowd.predictions, 1);
-        // The long object overlaps no box by half.
-        let objects = [vec![at(0.0, 1.0)]];
-        let alone = pooled(&[vec![at(0.0, 0.5)]], &objects);
-        assert_eq!(alone.ap50, 1.0);
-        let object = crowded(Mark::Object);
-        assert!(object.ap50 < 1.0 && object.predictions == 4, "{object:?}");
+    }
+
+    #[test]
+    fn boxes_inside_an_ignored_object_of_another_size_are_judged() {
+        let object = car_in_a_long_place(Mark::Object);
+        assert_eq!(object.predictions, 4);
+        assert!(object.ap50 < 1.0, "{object:?}");
+    }
+
+    #[test]
+    fn an_ignored_object_leaves_out_one_box_and_its_double_counts_as_wrong() {
         let doubled = [vec![at(50.0, 0.9), at(50.0, 0.8), at(0.0, 0.7)]];
         let ignored = [vec![marked(square(50.0, 0.0, 10.0), Mark::Object)]];
-        let found = judged(&doubled, &objects, &ignored);
+        let found = judged(&doubled, &[vec![at(0.0, 1.0)]], &ignored);
         assert_eq!([found.ap50, found.precision], [0.5, 0.5]);
     }
 }

@@ -70,15 +70,24 @@ pub fn newcomers<'a>(
             }
         }
     }
-    let count = objects.len();
-    let late = objects.values().map(|object| match object.found {
-        Some(found) => found - object.first,
-        None => object.last + 1 - object.first,
-    });
-    (count > 0).then(|| Newcomers {
-        objects: count,
-        never_found: objects.values().filter(|object| object.found.is_none()).count(),
-        delay_frames: late.sum::<usize>() as f64 / count as f64,
+    if objects.is_empty() {
+        return None;
+    }
+    let mut never_found = 0;
+    let mut delay = 0;
+    for object in objects.values() {
+        match object.found {
+            Some(found) => delay += found - object.first,
+            None => {
+                never_found += 1;
+                delay += object.last + 1 - object.first;
+            }
+        }
+    }
+    Some(Newcomers {
+        objects: objects.len(),
+        never_found,
+        delay_frames: delay as f64 / objects.len() as f64,
     })
 }
 
@@ -109,7 +118,8 @@ mod tests {
         let mut shown = vec![Vec::new(); 5];
         shown[3] = vec![object(1, 28.0)];
         let late = newcomers(&shown, &truth, Classes::Pooled).unwrap();
-        assert_eq!((late.objects, late.never_found), (2, 1));
+        assert_eq!(late.objects, 2);
+        assert_eq!(late.never_found, 1);
         assert_eq!(late.delay_frames, (2.0 + 2.0) / 2.0);
         // A box on a frame on which the object is still small does not count: it is not in view yet.
         shown[0] = vec![object(1, 19.0)];
@@ -117,7 +127,8 @@ mod tests {
         assert_eq!(again, late);
         shown[1] = vec![object(1, 20.0), object(2, 40.0)];
         let at_once = newcomers(&shown, &truth, Classes::Pooled).unwrap();
-        assert_eq!((at_once.never_found, at_once.delay_frames), (0, 0.0));
+        assert_eq!(at_once.never_found, 0);
+        assert_eq!(at_once.delay_frames, 0.0);
     }
 
     #[test]

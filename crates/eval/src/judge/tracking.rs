@@ -56,9 +56,11 @@ struct Overlaps {
 }
 
 impl Overlaps {
-    fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
+    /// Each pair by its row and its column, with its IoU.
+    fn pairs(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let columns = self.tracks.len();
-        (0..self.iou.len()).map(move |pair| (pair / columns, pair % columns))
+        let pairs = self.iou.iter().enumerate();
+        pairs.map(move |(pair, iou)| (pair / columns, pair % columns, *iou))
     }
 }
 
@@ -95,7 +97,10 @@ pub fn tracking<'a>(
         }
         frames.push(frame);
     }
-    (!objects.counts.is_empty()).then(|| Tracking {
+    if objects.counts.is_empty() {
+        return None;
+    }
+    Some(Tracking {
         hota: hota(&frames, &objects, &tracks),
         idf1: idf1(&frames, &objects, &tracks),
     })
@@ -106,15 +111,14 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
     // How often each object and each track match, where a match weighs less if other boxes overlap in its frame.
     let mut shared = vec![0.0; objects.counts.len() * columns];
     for frame in frames {
-        let width = frame.tracks.len();
-        let mut rows = vec![0.0; frame.truths.len()];
-        let mut sums = vec![0.0; width];
-        for ((row, column), iou) in frame.pairs().zip(&frame.iou) {
-            rows[row] += iou;
-            sums[column] += iou;
+        let mut row_sums = vec![0.0; frame.truths.len()];
+        let mut column_sums = vec![0.0; frame.tracks.len()];
+        for (row, column, iou) in frame.pairs() {
+            row_sums[row] += iou;
+            column_sums[column] += iou;
         }
-        for ((row, column), iou) in frame.pairs().zip(&frame.iou) {
-            let all = rows[row] + sums[column] - iou;
+        for (row, column, iou) in frame.pairs() {
+            let all = row_sums[row] + column_sums[column] - iou;
             if all > f64::EPSILON {
                 shared[frame.truths[row] * columns + frame.tracks[column]] += iou / all;
             }
@@ -122,13 +126,14 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
     }
     let mut matches: BTreeMap<(usize, usize), [f64; THRESHOLDS]> = BTreeMap::new();
     for frame in frames {
-        let score = |((row, column), iou): ((usize, usize), &f64)| {
+        let mut scores = Vec::new();
+        for (row, column, iou) in frame.pairs() {
             let object = frame.truths[row];
             let track = frame.tracks[column];
             let both = shared[object * columns + track];
-            iou * (both / (objects.counts[object] + tracks.counts[track] - both))
-        };
-        let scores = frame.pairs().zip(&frame.iou).map(score).collect();
+            let either = objects.counts[object] + tracks.counts[track] - both;
+            scores.push(iou * (both / either));
+        }
         for (row, column) in assign(frame.truths.len(), frame.tracks.len(), &scores) {
             let iou = frame.iou[row * frame.tracks.len() + column];
             let pair = (frame.truths[row], frame.tracks[column]);
@@ -158,7 +163,7 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
     let columns = tracks.counts.len();
     let mut matches = vec![0.0; objects.counts.len() * columns];
     for frame in frames {
-        for ((row, column), &iou) in frame.pairs().zip(&frame.iou) {
+        for (row, column, iou) in frame.pairs() {
             if iou >= 0.5 {
                 matches[frame.truths[row] * columns + frame.tracks[column]] += 1.0;
             }
@@ -191,9 +196,10 @@ mod tests {
         let whole = vec![vec![found(0.0, Some(3), 0.9)]; 4];
         let cut: Vec<_> = (0..4).map(|frame| vec![found(0.0, Some(frame / 2), 0.9)]).collect();
         let perfect = tracking(&whole, &truth).unwrap();
-        assert_eq!((perfect.hota, perfect.idf1), (1.0, 1.0));
+        assert_eq!([perfect.hota, perfect.idf1], [1.0, 1.0]);
         let halves = tracking(&cut, &truth).unwrap();
-        assert!((halves.hota - 0.5_f64.sqrt()).abs() < 1e-12 && halves.idf1 == 0.5);
+        assert!((halves.hota - 0.5_f64.sqrt()).abs() < 1e-12, "{halves:?}");
+        assert_eq!(halves.idf1, 0.5);
     }
 
     #[test]
@@ -211,6 +217,6 @@ mod tests {
         assert_eq!(tracking(&with(Some(2), 0.3), &[known(None)]), None);
         assert_eq!(tracking(&[], &[]), None);
         let nothing = tracking(&[], &truth).unwrap();
-        assert_eq!((nothing.hota, nothing.idf1), (0.0, 0.0));
+        assert_eq!([nothing.hota, nothing.idf1], [0.0, 0.0]);
     }
 }

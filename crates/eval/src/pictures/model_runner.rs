@@ -173,12 +173,10 @@ impl ModelRunner {
             let number = usize::from(detection.class.0);
             match self.classes.get(number).copied().flatten() {
                 Some(class) => detections.push(Detection { class, ..detection }),
-                None => unmapped.push(
-                    self.detector
-                        .class_names()
-                        .get(number)
-                        .map_or_else(|| format!("class {number}"), String::clone),
-                ),
+                None => {
+                    let name = self.detector.class_names().get(number);
+                    unmapped.push(name.cloned().unwrap_or_else(|| format!("class {number}")));
+                }
             }
         }
         Ok(ModelResults {

@@ -234,12 +234,16 @@ fn settle_input(source: &mut dyn FrameSource, models: &mut ModelRunner) -> Resul
     if !models.chooses_input() {
         return Ok(());
     }
-    // The pass reports a picture that cannot be used.
     while let Ok(Some(_)) = next_decoded(source, models) {
-        if models.has_chosen_input() || models.run().is_err() {
+        if models.has_chosen_input() {
+            break;
+        }
+        let ran = models.run();
+        if ran.is_err() {
             break;
         }
     }
+    // What failed here fails again in the pass, which reports it.
     source.rewind()
 }
 

@@ -107,18 +107,23 @@ fn frame_times(
 ) -> Vec<f64> {
     let time = |(record, times): (&FrameRecord, &StepTimes)| {
         let screen = record.screen && screened;
-        let grey = match pictures {
-            Some(Need::GreyPicture) => times.grey,
-            _ => times.small,
-        };
-        let steps = [
-            (record.detector || screen, times.decode),
-            (record.detector, times.detector),
-            (screen, times.screen),
-            (record.examined, grey),
-        ];
-        let needed = steps.into_iter().filter(|(needed, _)| *needed);
-        record.decision.as_secs_f64() * 1e3 + needed.map(|(_, step)| step).sum::<f64>()
+        let mut steps = 0.0;
+        if record.detector || screen {
+            steps += times.decode;
+        }
+        if record.detector {
+            steps += times.detector;
+        }
+        if screen {
+            steps += times.screen;
+        }
+        if record.examined {
+            steps += match pictures {
+                Some(Need::GreyPicture) => times.grey,
+                _ => times.small,
+            };
+        }
+        record.decision.as_secs_f64() * 1e3 + steps
     };
     records.iter().zip(&pass.times).map(time).collect()
 }

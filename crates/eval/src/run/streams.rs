@@ -91,9 +91,10 @@ fn run_clip(
         let what = "frames have no times, as the data has no frame rate: give it with --rate";
         return Err(no_evidence(clip, spec, EvalError::new(what)));
     };
-    let published = StoredEvidence::new(clip, settings)
-        .and_then(|mut evidence| publish(policy, &mut evidence, stream, 1.0 / rate))
-        .map_err(|source| no_evidence(clip, spec, source))?;
+    let mut evidence =
+        StoredEvidence::new(clip, settings).map_err(|error| no_evidence(clip, spec, error))?;
+    let published = publish(policy, &mut evidence, stream, 1.0 / rate)
+        .map_err(|error| no_evidence(clip, spec, error))?;
     let mut result = ClipResult {
         clip: clip.name.clone(),
         policy: spec.label.clone(),
@@ -213,7 +214,9 @@ fn at_once(
             waiting = Waiting::new(earlier.frame, need, earlier.met_at, timing, published.calls);
             published.calls += usize::from(need == Need::Detections);
         }
-        let need = late.frame(head(frame, 1, source.picture()), &mut outcome);
+        // Every frame is answered.
+        let step = 1;
+        let need = late.frame(head(frame, step, source.picture()), &mut outcome);
         if need != Need::Nothing {
             waiting = Waiting::new(frame, need, now, timing, published.calls);
         }

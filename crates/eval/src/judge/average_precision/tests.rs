@@ -173,8 +173,11 @@ fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>
 fn a_million_boxes_need_a_linear_number_of_comparisons() {
     let compared = [10_000, 100_000, 1_000_000].map(|count| {
         let (predictions, truth) = spread_over_frames(count);
-        let matching = Matching::new(&predictions, (&truth).into(), None);
-        assert_eq!((matching.outcomes.len(), matching.truths), (count, count));
+        let any_class = None;
+        let matching = Matching::new(&predictions, (&truth).into(), any_class);
+        assert_eq!(matching.outcomes.len(), count);
+        assert_eq!(matching.truths, count);
+        // Most are near enough to their place, and not all.
         let hits = matching.hits();
         assert!(hits * 2 > count && hits < count, "{hits} of {count}");
         matching.compared

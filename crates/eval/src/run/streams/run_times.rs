@@ -81,7 +81,7 @@ mod tests {
     #[test]
     fn a_number_or_a_file_of_measured_runs_is_read_and_used_in_turn() {
         let always = RunTimes::read("113").unwrap();
-        assert_eq!((always.seconds_of(0), always.seconds_of(7)), (0.113, 0.113));
+        assert_eq!([0, 7].map(|run| always.seconds_of(run)), [0.113; 2]);
         assert_eq!(always.describe(), "113 ms");
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "20\n100.5\n\n40\n").unwrap();
