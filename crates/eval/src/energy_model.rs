@@ -113,7 +113,7 @@ impl EnergyModel {
 
     fn read(text: &str) -> Result<Self, String> {
         let model: Self = toml::from_str(text).map_err(|error| error.to_string())?;
-        let costs = |table: &str, costs: Costs| {
+        let named = |table: &str, costs: Costs| {
             [
                 (format!("{table}.detector"), costs.detector),
                 (format!("{table}.predicted"), costs.predicted),
@@ -122,9 +122,9 @@ impl EnergyModel {
             ]
         };
         let idle = ("idle_power_w".to_owned(), model.idle_power_w.unwrap_or(0.0));
-        let numbers = costs("energy_j", model.energy_j)
+        let numbers = named("energy_j", model.energy_j)
             .into_iter()
-            .chain(costs("time_ms", model.time_ms))
+            .chain(named("time_ms", model.time_ms))
             .chain([idle]);
         for (name, value) in numbers {
             if !(value.is_finite() && value >= 0.0) {

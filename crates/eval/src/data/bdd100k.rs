@@ -228,7 +228,7 @@ impl Reading<'_> {
                     is_by_name,
                 } = frame.place(&stem, position);
                 let by_index = videos.entry(video).or_default();
-                let btree_map::Entry::Vacant(place) = by_index.entry(index) else {
+                let btree_map::Entry::Vacant(vacant) = by_index.entry(index) else {
                     let what = format!(
                         "frame {} occurs twice: its video already has the index {index}",
                         frame.name
@@ -243,7 +243,7 @@ impl Reading<'_> {
                     return Err(EvalError::content(&file, what));
                 }
                 let labelled = self.labelled(&file, &frame, kind, report)?;
-                place.insert(Labelled {
+                vacant.insert(Labelled {
                     is_by_name,
                     ..labelled
                 });

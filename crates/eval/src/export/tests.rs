@@ -21,6 +21,16 @@ fn one(class: &str, object: Option<u64>) -> BoxMessage {
     }
 }
 
+/// Where it is.
+fn place() -> Corners {
+    Corners {
+        x1: 1.0,
+        y1: 2.0,
+        x2: 31.0,
+        y2: 42.0,
+    }
+}
+
 fn picture() -> Bytes {
     let mut file = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
@@ -112,15 +122,9 @@ fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
     let boxes: Vec<_> = truth.flatten().collect();
     assert_eq!(boxes.len(), 4);
     let car = Evaluated::Road.find("car").unwrap();
-    let place = Corners {
-        x1: 1.0,
-        y1: 2.0,
-        x2: 31.0,
-        y2: 42.0,
-    };
     for found in boxes {
         assert_eq!(found.class, car);
-        assert_eq!(found.corners, place);
+        assert_eq!(found.corners, place());
     }
 }
 
@@ -146,7 +150,20 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
     assert_eq!(done.pictures, 4);
     assert_eq!(done.boxes, 8);
     let read = data::mot_challenge::read(&out).unwrap();
-    assert_eq!(read.clips.len(), 1);
+    let [clip] = read.clips.as_slice() else {
+        panic!("{:?}", read.clips);
+    };
+    assert_eq!(clip.frames, 4);
+    assert_eq!(clip.frame_rate, Some(10.0));
+    // MOTChallenge has cars and no trucks.
+    for objects in clip.truth.as_ref().unwrap() {
+        let [car] = objects.as_slice() else {
+            panic!("{objects:?}");
+        };
+        assert_eq!(car.corners, place());
+        assert_eq!(car.object, Some(7));
+    }
+    assert_eq!(read.report.unmapped_classes["14"], 4);
     let rows = std::fs::read_to_string(out.join("a_front/gt/gt.txt")).unwrap();
     // Frame, track, left, top, width, height, 1, class, 1: tracks and pixels count from 1, and MOTChallenge's car is 3.
     assert_eq!(rows.lines().next(), Some("1,7,2.00,3.00,30.00,40.00,1,3,1"));
@@ -164,13 +181,17 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
     );
 }
 
+/// A recording of two drives with a pause between them, and of both again, at 8 frames per second: their times jump three times.
+fn recorded_in_a_loop(path: &Path) {
+    let drives = [0, 125, 250, 375, 500_000, 500_125, 500_250];
+    recorded_at(path, &[drives, drives].concat());
+}
+
 #[test]
 fn a_drive_that_was_replayed_in_a_loop_has_its_own_rate_and_the_loop_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
-    // Two drives with a pause between them, and both again.
-    let drives = [0, 125, 250, 375, 500_000, 500_125, 500_250];
-    recorded_at(&path, &[drives, drives].concat());
+    recorded_in_a_loop(&path);
     let out = folder.path().join("out");
     let files = recordings(&path).unwrap();
     let done = export(
@@ -190,8 +211,13 @@ fn a_drive_that_was_replayed_in_a_loop_has_its_own_rate_and_the_loop_is_told() {
         note.starts_with("a_front: its frames are no single drive: their times jump 3 times"),
         "{note}"
     );
+}
 
-    // The evaluation and a replay of the recording have the same rate.
+#[test]
+fn footage_of_a_drive_that_was_replayed_in_a_loop_has_the_drives_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    recorded_in_a_loop(&path);
     let name: SourceName = format!("{}:/front/image", path.display()).parse().unwrap();
     let no_given_rate = None;
     let footage = name.open(no_given_rate, VideoEncoding::Jpeg).unwrap();

@@ -136,14 +136,14 @@ impl SourceName {
     /// # Errors
     /// When the folder cannot be read.
     pub fn split(&self) -> Result<Vec<Self>, EvalError> {
-        let inside = |folder: &Path, wanted: fn(&Path) -> bool| {
-            entries(folder, wanted)
-                .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))
-        };
         if let Self::Recording(path, None) = self {
             let topics = Recording::topics(path)?.into_iter();
             return Ok(topics.map(|topic| Self::Recording(path.clone(), Some(topic))).collect());
         }
+        let inside = |folder: &Path, wanted: fn(&Path) -> bool| {
+            entries(folder, wanted)
+                .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))
+        };
         let mut folders = Vec::new();
         if let Self::Pictures(path) = self
             && path.is_dir()

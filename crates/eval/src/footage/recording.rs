@@ -36,7 +36,6 @@ pub(super) struct Recording {
 }
 
 /// A topic with pictures.
-#[derive(Clone)]
 struct PictureTopic {
     name: String,
     pictures: u64,
@@ -100,6 +99,18 @@ fn listed(overview: &Overview) -> String {
     }
 }
 
+/// The error for a file with several topics of pictures, of which none was named.
+fn no_topic_named(path: &Path, topics: &[PictureTopic]) -> EvalError {
+    let names: Vec<&str> = topics.iter().map(|topic| topic.name.as_str()).collect();
+    let what = format!(
+        "it has pictures on several topics: name one, {}:{}; the others are {}",
+        path.display(),
+        names[0],
+        names[1..].join(", ")
+    );
+    EvalError::content(path, what)
+}
+
 impl Recording {
     /// The topics with pictures, in their order.
     ///
@@ -117,30 +128,18 @@ impl Recording {
     pub(super) fn open(path: &Path, topic: Option<&str>) -> Result<Self, EvalError> {
         let Contents { overview, topics } = Contents::read(path)?;
         let found = match (topic, topics.as_slice()) {
-            (None, [only]) => Some(only),
-            (None, several) => {
-                let topics: Vec<_> = several.iter().map(|topic| topic.name.as_str()).collect();
-                let what = format!(
-                    "it has pictures on several topics: name one, {}:{}; the others are {}",
-                    path.display(),
-                    topics[0],
-                    topics[1..].join(", ")
-                );
-                return Err(EvalError::content(path, what));
-            }
             (Some(name), topics) => topics.iter().find(|topic| topic.name == name),
+            (None, [only]) => Some(only),
+            (None, several) => return Err(no_topic_named(path, several)),
         };
-        let Some(PictureTopic {
-            name: topic,
-            pictures: frames,
-        }) = found.cloned()
-        else {
+        let Some(found) = found else {
             let what = format!(
                 "it has no pictures on this topic; it has {}",
                 listed(&overview)
             );
             return Err(EvalError::content(path, what));
         };
+        let frames = found.pictures;
         if let Some(damage) = &overview.damage {
             let file = path.display();
             eprintln!(
@@ -148,7 +147,7 @@ impl Recording {
             );
         }
         let times: Vec<u64> = opened(path)?
-            .filter(|message| message.channel.topic == topic)
+            .filter(|message| message.channel.topic == found.name)
             .map(|message| message.time_ns)
             .take(TIMED)
             .collect();
@@ -157,7 +156,7 @@ impl Recording {
         let possible = paced.filter(|rate| (0.01..=1000.0).contains(rate));
         let mut name = clip_name(path);
         if topics.len() > 1 {
-            name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
+            name = plain_name(&format!("{name}{}", found.name.replace('/', "_")));
         }
         Ok(Self {
             messages: opened(path)?,
@@ -165,7 +164,7 @@ impl Recording {
             name,
             rate: possible.unwrap_or(Pictures::DEFAULT_RATE),
             frames,
-            topic,
+            topic: found.name.clone(),
             number: 0,
             is_cut: overview.damage.is_some(),
             is_over: false,

@@ -195,19 +195,19 @@ mod tests {
             scored(square(400.0, 50.0, 40.0), 0.5),
         ];
         let object = scored(square(150.0, 50.0, 40.0), 1.0);
-        assert_eq!(
-            kept(found.clone(), &[object], vec![region]),
-            [0.7, 0.6, 0.5]
-        );
-        // A region of one frame says nothing about the next.
-        let objects = [vec![object], vec![]];
-        let ignored = [vec![region]];
+        assert_eq!(kept(found, &[object], vec![region]), [0.7, 0.6, 0.5]);
+    }
+
+    #[test]
+    fn an_ignored_region_of_one_frame_says_nothing_about_the_next() {
+        let ignored = [vec![marked(square(100.0, 0.0, 100.0), Mark::Region)]];
         let truth = Truth {
-            objects: &objects,
+            objects: &[],
             ignored: &ignored,
         };
-        let later = without_ignored(&[Vec::new(), found], truth, Classes::Pooled);
-        assert_eq!(later[1].len(), 5);
+        let inside = vec![scored(square(120.0, 10.0, 20.0), 0.9)];
+        let kept = without_ignored(&[inside.clone(), inside.clone()], truth, Classes::Pooled);
+        assert_eq!(kept, [vec![], inside]);
     }
 
     #[test]
@@ -228,10 +228,17 @@ mod tests {
         let distractor = marked(square(0.0, 0.0, 10.0), Mark::Distractor);
         let found = vec![at(0.0, 0.9), at(1.0, 0.8), at(50.0, 0.7)];
         assert_eq!(kept(found, &[at(50.0, 1.0)], vec![distractor]), [0.8, 0.7]);
-        // An object in front of the distractor takes its box first.
+    }
+
+    #[test]
+    fn an_object_takes_its_box_before_a_distractor_at_the_same_place() {
+        let distractor = marked(square(0.0, 0.0, 10.0), Mark::Distractor);
         let found = vec![at(0.0, 0.9)];
-        assert_eq!(kept(found, &[at(0.0, 1.0)], vec![distractor]).len(), 1);
-        // What is labelled and not judged excuses nothing, and takes its box from a distractor beside it.
+        assert_eq!(kept(found, &[at(0.0, 1.0)], vec![distractor]), [0.9]);
+    }
+
+    #[test]
+    fn what_is_labelled_and_not_judged_takes_its_box_from_a_distractor_and_excuses_none() {
         let unjudged = marked(square(0.0, 0.0, 10.0), Mark::Unjudged);
         let beside = marked(square(2.0, 0.0, 10.0), Mark::Distractor);
         let found = vec![at(0.0, 0.9)];
