@@ -102,10 +102,13 @@ impl<I, T> Queue<I, T> {
 
     pub(super) fn push(&mut self, request: Request<I, T>) {
         if let Some(asker) = request.asker {
-            self.askers
-                .entry(asker)
-                .and_modify(|rhythm| rhythm.asked(request.size, request.requested_at))
-                .or_insert_with(|| Rhythm::new(request.size, request.requested_at));
+            match self.askers.get_mut(&asker) {
+                Some(rhythm) => rhythm.asked(request.size, request.requested_at),
+                None => {
+                    let rhythm = Rhythm::new(request.size, request.requested_at);
+                    self.askers.insert(asker, rhythm);
+                }
+            }
         }
         self.waiting.push(request);
     }
