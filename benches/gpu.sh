@@ -22,15 +22,22 @@ elif [ "$provider" = tensorrt ]; then
 fi
 
 python=${GPU_PYTHON:-.cache/gpu/python/bin/python}
-if [ ! -x "$python" ] && [ -z "${GPU_PYTHON:-}" ]; then
-    (python3 -m venv .cache/gpu/python && "$python" -m pip install --quiet --disable-pip-version-check \
-        -r benches/gpu/requirements.txt) || rm -rf .cache/gpu/python
+has_packages() { "$python" -c 'import onnx, onnxconverter_common' 2>/dev/null; }
+install_packages() {
+    # Anew: an installation that was cut short would stay as it is.
+    rm -rf .cache/gpu/python
+    python3 -m venv .cache/gpu/python
+    "$python" -m pip install --quiet --disable-pip-version-check -r benches/gpu/requirements.txt
+}
+if [ -z "${GPU_PYTHON:-}" ] && ! has_packages; then
+    # In a process of its own, which ends with the first command that fails.
+    (install_packages) & wait $! || true
 fi
-if [ -x "$python" ]; then
-    mapfile -t variants < <("$python" benches/gpu/variants.py .cache/gpu/models "${models[@]}")
-    models+=("${variants[@]}")
+if has_packages; then
+    made=$("$python" benches/gpu/variants.py .cache/gpu/models "${models[@]}")
+    [ -z "$made" ] || mapfile -t -O "${#models[@]}" models <<<"$made"
 else
-    echo "no Python with onnx: half precision and open batches are left out" >&2
+    echo "no Python with the packages of benches/gpu/requirements.txt: half precision and open batches are left out" >&2
 fi
 
 arguments=(--provider "$provider" --date "$(date +%F)")
