@@ -371,9 +371,9 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let panicked = RunError::Panicked("scripted panic".to_owned());
     let too_few = failed("the model answered 0 of 1 pictures");
     for (pause, step, expected) in [
-        (100, FAIL, failed("scripted failure")),
-        (200, Step::Panic, panicked),
-        (400, Step::AnswerTooFew, too_few),
+        (FIRST_PAUSE, FAIL, failed("scripted failure")),
+        (2 * FIRST_PAUSE, Step::Panic, panicked),
+        (4 * FIRST_PAUSE, Step::AnswerTooFew, too_few),
     ] {
         let error = stage.fail(step).await;
         assert_eq!(error, expected);
@@ -383,7 +383,7 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
             provider: ExecutionProvider::Cpu,
         };
         assert_eq!(*stage.worker.status.borrow(), degraded);
-        pass(Duration::from_millis(pause)).await;
+        pass(pause).await;
         stage.until_ready().await;
     }
     stage.run(Step::Answer).await.unwrap();
@@ -487,7 +487,7 @@ async fn a_late_batch_is_answered_for_all_its_pictures_and_if_it_then_fails_the_
     stage.end(FAIL);
     // The task knows of the failure, and its backoff has begun.
     stage.until(|counts| counts.failed, 1).await;
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     stage.until_ready().await;
     let counts = stage.counts();
     assert_eq!(counts.timed_out, 1);
@@ -514,12 +514,12 @@ async fn a_model_rebuilt_with_another_signature_is_rejected_until_the_old_one_re
     let mut stage = stage(settings()).await;
     stage.script.next.lock().facts = 1;
     stage.fail(FAIL).await;
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     stage.until(|counts| counts.rebuilds_failed, 1).await;
     let reason = stage.until_degraded().await;
     assert!(reason.contains("than when the program started"), "{reason}");
     stage.script.next.lock().facts = 0;
-    pass(Duration::from_millis(200)).await;
+    pass(2 * FIRST_PAUSE).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 2);
 }

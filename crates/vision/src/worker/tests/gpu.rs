@@ -18,13 +18,13 @@ async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried()
     assert!(error.contains(expected), "{error}");
     // One failed run proves nothing: a new session may work.
     assert!(stage.until_degraded().await.contains(expected));
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     stage.until(|counts| counts.rebuilds_failed, 1).await;
     // Nor does a build that fails for another reason.
     let reason = stage.until_degraded().await;
     assert!(reason.contains("CUDA failure 2"), "{reason}");
-    for (pause, failed) in [(200, 2), (400, 3)] {
-        pass(Duration::from_millis(pause)).await;
+    for (pause, failed) in [(2 * FIRST_PAUSE, 2), (4 * FIRST_PAUSE, 3)] {
+        pass(pause).await;
         stage.until(|counts| counts.rebuilds_failed, failed).await;
         let is_lost = |status: &ModelStatus| matches!(status, ModelStatus::Lost { .. });
         let reason = stage.until_fault(is_lost).await;
@@ -35,7 +35,7 @@ async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried()
         assert!(matches!(refused, RunError::Unavailable(_)));
     }
     // The GPU comes back after all.
-    pass(Duration::from_millis(800)).await;
+    pass(8 * FIRST_PAUSE).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 4);
 }
@@ -53,7 +53,7 @@ async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
     go_on.send(()).unwrap();
     let error = failing.await.unwrap().unwrap_err();
     assert!(matches!(error, RunError::Failed(_)), "{error}");
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 1);
 }

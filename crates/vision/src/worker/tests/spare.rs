@@ -64,7 +64,7 @@ async fn after_a_spare_picture_that_fails_the_next_one_uses_a_new_session() {
     stage.end(FAIL);
     assert!(spare.await.unwrap().unwrap().is_err());
     let next = stage.ask_spare(8, 10 * TIMEOUT);
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     assert_eq!(stage.next_run().await, [8]);
     stage.end(Step::Answer);
     next.await.unwrap().unwrap().unwrap();

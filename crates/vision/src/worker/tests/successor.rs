@@ -59,7 +59,7 @@ async fn the_first_model_answers_until_its_successor_is_built_and_takes_over_bet
     // From now on its own build repairs it.
     stage.fail(FAIL).await;
     build.send(Ok(0)).unwrap();
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     until_provider(&stage, TensorRt).await;
 }
 
@@ -81,7 +81,7 @@ async fn a_successor_that_is_ready_takes_the_place_of_a_model_that_is_lost() {
     stage.fail(FAIL).await;
     build.send(Ok(0)).unwrap();
     until_built(&stage).await;
-    pass(Duration::from_millis(100)).await;
+    pass(FIRST_PAUSE).await;
     until_provider(&stage, TensorRt).await;
     assert_eq!(stage.counts().rebuilds, 0);
     stage.run(Step::Answer).await.unwrap();
