@@ -339,6 +339,9 @@ impl LoadReport {
     }
 }
 
+/// The confidence of a box of ground truth.
+pub(crate) const TRUTH_CONFIDENCE: f64 = 1.0;
+
 /// A box from a file, before it is checked.
 pub(crate) struct LabelledBox<'a> {
     /// In pixels.
@@ -347,7 +350,7 @@ pub(crate) struct LabelledBox<'a> {
     pub class: Result<ClassId, LeftOut>,
     /// The file's name for the class.
     pub class_name: Cow<'a, str>,
-    /// 0 to 1; always 1 for ground truth.
+    /// 0 to 1; that of ground truth is [`TRUTH_CONFIDENCE`].
     pub confidence: f64,
     /// Number of the object, the same in every frame that shows it.
     pub object: Option<u64>,

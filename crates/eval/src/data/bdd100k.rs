@@ -14,7 +14,7 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, has_extension};
+use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, TRUTH_CONFIDENCE, has_extension};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::{entries, read_text};
@@ -267,7 +267,7 @@ impl Reading<'_> {
             };
             let confidence = match (kind, label.score) {
                 // Ground truth may have scores, too, which mean nothing.
-                (Kind::Truth, _) => 1.0,
+                (Kind::Truth, _) => TRUTH_CONFIDENCE,
                 (Kind::Predictions, Some(score)) => score,
                 (Kind::Predictions, None) => {
                     let what = format!(

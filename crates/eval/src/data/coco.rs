@@ -15,7 +15,7 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LeftOut};
+use super::{Clip, DataSet, LabelledBox, LeftOut, TRUTH_CONFIDENCE};
 use crate::error::EvalError;
 use crate::files;
 use crate::judge::{Ignored, Mark};
@@ -23,6 +23,7 @@ use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -77,11 +78,12 @@ struct Annotation {
 
 /// Reads a flag, which files write as a number or as `true`.
 fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
-    Ok(match serde_json::Value::deserialize(deserializer)? {
-        serde_json::Value::Bool(set) => set,
-        serde_json::Value::Number(number) => number.as_f64() != Some(0.0),
+    let is_set = match Value::deserialize(deserializer)? {
+        Value::Bool(set) => set,
+        Value::Number(number) => number.as_f64() != Some(0.0),
         _ => false,
-    })
+    };
+    Ok(is_set)
 }
 
 #[derive(Deserialize)]
@@ -148,7 +150,7 @@ pub(super) fn read_as(
         let entry = || format!("{}, annotation {number}", file.display());
         let place = place_of(annotation, number, &places, file)?;
         let clip = &mut drafts[place.clip];
-        let labelled = labelled_box(annotation, 1.0);
+        let labelled = labelled_box(annotation, TRUTH_CONFIDENCE);
         let mark = if annotation.iscrowd {
             Some(Mark::Crowd)
         } else if annotation.ignore {

@@ -6,7 +6,7 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, has_extension};
+use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, TRUTH_CONFIDENCE, has_extension};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::{entries, read_text};
@@ -143,8 +143,9 @@ fn number(node: Node<'_, '_>, name: &str, file: &Path) -> Result<f64, EvalError>
 }
 
 fn picture_size(root: Node<'_, '_>, file: &Path) -> Result<PictureSize, EvalError> {
-    let size = child(root, "size", file)?;
-    let [width, height] = [number(size, "width", file)?, number(size, "height", file)?];
+    let written = child(root, "size", file)?;
+    let width = number(written, "width", file)?;
+    let height = number(written, "height", file)?;
     let size = PictureSize::new(width as u32, height as u32);
     if size.pixels() == 0 {
         return Err(EvalError::content(file, "the picture has no size"));
@@ -175,7 +176,7 @@ fn labelled_box<'a>(
             .find_map(|name| classes.find(name).ok())
             .ok_or(LeftOut::UnmappedClass),
         class_name: name.into(),
-        confidence: 1.0,
+        confidence: TRUTH_CONFIDENCE,
         object: child(object, "trackid", file)?.text().and_then(|id| id.trim().parse().ok()),
     })
 }

@@ -6,7 +6,7 @@
 
 use super::classes::from_kitti;
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, has_extension, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, has_extension, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::entries;
@@ -65,7 +65,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");
     let mut truth: Vec<Vec<ScoredBox>> = labels.read(GONE, |row, boxes| {
         if !is_region(row)? {
-            let mut object = labelled(row, 1.0)?;
+            let mut object = labelled(row, TRUTH_CONFIDENCE)?;
             object.object = row.object(1, "id")?;
             boxes.extend(report.keep(&object, picture, || row.place()));
         }
@@ -73,7 +73,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     })?;
     let ignored = labels.read(GONE, |row, regions| {
         if is_region(row)? {
-            let corners = labelled(row, 1.0)?.corners;
+            let corners = labelled(row, TRUTH_CONFIDENCE)?.corners;
             regions.extend(report.mark(corners, None, Mark::Region, picture, || row.place()));
         }
         Ok(())

@@ -12,7 +12,7 @@
 
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::{entries, read_text};
@@ -193,7 +193,7 @@ fn label(
         corners,
         class,
         class_name: number.to_string().into(),
-        confidence: 1.0,
+        confidence: TRUTH_CONFIDENCE,
         object: row.object(1, "id")?,
     };
     Ok(TruthLine::Object(

@@ -16,7 +16,7 @@
 
 use super::classes::Evaluated;
 use super::rows::{Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport};
+use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE};
 use crate::error::EvalError;
 use crate::files::{self, read_text};
 use crate::judge::{Ignored, Mark};
@@ -27,7 +27,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
+const DETECTION_CLASS: usize = 6;
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id";
+const TRUTH_CLASS: usize = 5;
 const REGION_HEADER: &str = "frame,x1,y1,x2,y2";
 const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark";
 const SCREEN_HEADER: &str = "frame,empty";
@@ -133,14 +135,19 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         "every sequence in sequences.json needs its detections; a sequence without any has a file with only the header",
         picture,
         report,
-        |row| labelled(row, 6, row.number(5, "score")?, None),
+        |row| {
+            let confidence = row.number(5, "score")?;
+            let no_object = None;
+            labelled(row, DETECTION_CLASS, confidence, no_object)
+        },
     )?;
     let labels = table("groundtruth", TRUTH_HEADER);
     let expected = entry.ground_truth_boxes.is_some_and(|boxes| boxes > 0);
     let truth = if expected || labels.path.exists() {
         let help = "sequences.json says that this sequence has ground truth";
         Some(labels.boxes(help, picture, report, |row| {
-            labelled(row, 5, 1.0, row.object(6, "object_id")?)
+            let object = row.object(6, "object_id")?;
+            labelled(row, TRUTH_CLASS, TRUTH_CONFIDENCE, object)
         })?)
     } else {
         None
@@ -244,7 +251,7 @@ fn ignored_table(ignored: &[Vec<Ignored>]) -> String {
     })
 }
 
-/// Reads a box; the files contain class numbers and no names.
+/// Reads a box whose class is in the column `class`; the files contain class numbers and no names.
 fn labelled(
     row: &Row<'_>,
     class: usize,

@@ -56,7 +56,8 @@ fn clips_with_equal_names_get_different_file_names() {
 #[test]
 fn a_folder_for_a_coco_file_is_that_of_an_export_or_says_what_is_expected() {
     let folder = tempfile::tempdir().unwrap();
-    let error = coco::read(folder.path(), None).unwrap_err().to_string();
+    let no_results = None;
+    let error = coco::read(folder.path(), no_results).unwrap_err().to_string();
     let path = folder.path().display();
     let expected = format!("{path}: this is a folder, and COCO is one JSON file");
     assert!(error.starts_with(&expected), "{error}");
@@ -66,5 +67,8 @@ fn a_folder_for_a_coco_file_is_that_of_an_export_or_says_what_is_expected() {
     );
     let set = r#"{"images": [{"id": 1, "file_name": "a/1.jpg", "width": 64, "height": 48}], "categories": [], "annotations": []}"#;
     std::fs::write(folder.path().join("annotations.json"), set).unwrap();
-    assert_eq!(coco::read(folder.path(), None).unwrap().clips.len(), 1);
+    assert_eq!(
+        coco::read(folder.path(), no_results).unwrap().clips.len(),
+        1
+    );
 }

@@ -150,7 +150,8 @@ impl GroundTruth {
         let mut clips = BTreeMap::new();
         let mut files = Vec::new();
         for path in paths {
-            let data = read(path, format, rules, classes)?.judged_by(rules, None);
+            let own_rate = None;
+            let data = read(path, format, rules, classes)?.judged_by(rules, own_rate);
             for clip in data.clips {
                 let file = files.len();
                 clips.entry(clip.name.clone()).or_insert(ClipTruth { file, clip });
@@ -421,7 +422,10 @@ fn read(
         }
         TruthFormat::MotChallenge => mot_challenge::read(path),
         TruthFormat::Kitti => kitti::read(path),
-        TruthFormat::Coco => coco::read_as(path, None, classes),
+        TruthFormat::Coco => {
+            let no_results = None;
+            coco::read_as(path, no_results, classes)
+        }
         TruthFormat::ImageNetVid => imagenet_vid::read_as(path, classes),
         TruthFormat::VisDrone => visdrone::read(path, UNKNOWN_SIZE),
         TruthFormat::Recorded => recorded::read(path),

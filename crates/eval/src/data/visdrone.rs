@@ -7,7 +7,7 @@
 
 use super::classes::from_visdrone;
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, has_extension, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, has_extension, pictures_in};
 use crate::error::EvalError;
 use crate::files::entries;
 use crate::judge::Mark;
@@ -75,7 +75,7 @@ fn read_sequence(
                 corners: corners(row)?,
                 class: from_visdrone(category),
                 class_name: named(category),
-                confidence: 1.0,
+                confidence: TRUTH_CONFIDENCE,
                 object: row.object(1, "id")?,
             };
             boxes.extend(report.keep(&labelled, picture, || row.place()));

@@ -117,7 +117,8 @@ fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
     }
 
     // The evaluation finds the same car on each of the pictures.
-    let read = data::coco::read(&out, None).unwrap();
+    let no_results = None;
+    let read = data::coco::read(&out, no_results).unwrap();
     let truth = read.clips.iter().flat_map(|clip| clip.truth.iter().flatten());
     let boxes: Vec<_> = truth.flatten().collect();
     assert_eq!(boxes.len(), 4);

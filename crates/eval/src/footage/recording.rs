@@ -179,13 +179,13 @@ impl Recording {
                 format!("{}, picture {}: {fault}", self.topic, self.number),
             )
         };
-        let file = |read: Result<Bytes, RecordingError>| {
+        let picture_in = |read: Result<Bytes, RecordingError>| {
             let file = read.map_err(|error| named(&error))?;
             picture_of_file(file, &limits).map_err(|fault| named(&fault))
         };
         match PictureKind::of(channel) {
-            Some(PictureKind::FoxgloveProtobuf) => file(picture_in_protobuf(message)),
-            Some(PictureKind::FoxgloveJson) => file(picture_in_json(message)),
+            Some(PictureKind::FoxgloveProtobuf) => picture_in(picture_in_protobuf(message)),
+            Some(PictureKind::FoxgloveJson) => picture_in(picture_in_json(message)),
             Some(PictureKind::Ros2) => ros2::read_message(message, &limits)
                 .map(|(picture, _)| picture)
                 .map_err(|fault| named(&fault)),

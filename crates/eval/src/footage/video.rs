@@ -226,18 +226,18 @@ fn probe(
     programs: &Ffmpeg,
 ) -> Result<Properties, EvalError> {
     let mut command = Command::new(&programs.ffprobe);
-    let probed = command
+    let output = command
         .args(PROBE)
         .arg(file)
         .stdin(Stdio::null())
         .output()
         .map_err(|error| not_started(&programs.ffprobe, error))?;
-    if !probed.status.success() {
-        let said = String::from_utf8_lossy(&probed.stderr);
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
         return Err(unreadable(file, said.trim()));
     }
     let wrong = |what: String| EvalError::new(format!("{file}: {what}"));
-    let probed: Probed = serde_json::from_slice(&probed.stdout)
+    let probed: Probed = serde_json::from_slice(&output.stdout)
         .map_err(|error| wrong(format!("ffprobe's output cannot be read: {error}")))?;
     let Some(stream) = probed.streams.first() else {
         return Err(wrong("it has no video".to_owned()));

@@ -210,9 +210,9 @@ mod tests {
             let made = film.arg(folder.path().join(name)).status().unwrap();
             assert!(made.success());
         }
-        let programs = tempfile::tempdir().unwrap();
+        let scripts = tempfile::tempdir().unwrap();
         let [script, ffprobe, calls] =
-            ["script", "ffprobe", "calls"].map(|name| programs.path().join(name));
+            ["script", "ffprobe", "calls"].map(|name| scripts.path().join(name));
         let counting = format!(
             "#!/bin/sh\necho >>{}\nexec ffprobe \"$@\"\n",
             calls.display()

@@ -7,6 +7,8 @@ pub(super) fn assign(
     columns: usize,
     scores: &Vec<f64>,
 ) -> impl Iterator<Item = (usize, usize)> {
-    let (rows, columns) = lsap::solve(rows, columns, scores, true).unwrap_or_default();
-    rows.into_iter().zip(columns)
+    let for_the_highest_sum = true;
+    let (assigned_rows, their_columns) =
+        lsap::solve(rows, columns, scores, for_the_highest_sum).unwrap_or_default();
+    assigned_rows.into_iter().zip(their_columns)
 }

@@ -251,11 +251,13 @@ fn a_video_of_tao_is_judged_by_the_classes_that_it_is_labelled_for() {
             right.confidence = 0.5;
         }
         found[0].push(beside);
-        let truth = Truth {
+        let judged_by = Truth {
             objects: clip.truth.as_deref().unwrap(),
             ignored: &clip.ignored,
         };
-        accuracy(&found, truth, Classes::Pooled, Interpolation::AllPoints).unwrap().ap50
+        accuracy(&found, judged_by, Classes::Pooled, Interpolation::AllPoints)
+            .unwrap()
+            .ap50
     };
     let is_excused = [0, 1, 2, 3].map(|class| judged(class) == 1.0);
     assert_eq!(is_excused, [false, true, false, true]);

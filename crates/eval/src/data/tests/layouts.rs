@@ -9,11 +9,11 @@ const SEQINFO: &str =
 
 #[test]
 fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
-    let truth = "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
+    let rows = "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
                  1,7,11,21,10,20,1,3.5,4.5,-1\n";
     let files = folder(&[
         ("train/M/seqinfo.ini", SEQINFO),
-        ("train/M/gt/gt.txt", truth),
+        ("train/M/gt/gt.txt", rows),
         ("train/M/det/det.txt", "2,-1,11,21,10,20,0.8,-1,-1,-1\n"),
         ("train/M/img1/000002.jpg", ""),
         ("train/M/img1/000001.jpg", ""),

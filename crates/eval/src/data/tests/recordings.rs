@@ -10,6 +10,12 @@ const INDEX: &str = r#"{"classes": {"2": "car"},
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
 
+/// What a recording lacks that has no file of detections, or none of ground truth.
+const NO_FILE: Option<&str> = None;
+/// A file with only its header.
+const NO_ROWS: Option<&str> = Some("");
+
+/// Reads a recording with this index, these rows of detections and these of ground truth.
 fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<DataSet, EvalError> {
     let detections = rows.map(|rows| format!("{HEADER}{rows}"));
     let truth = truth.map(|rows| format!("{TRUTH_HEADER}{rows}"));
@@ -108,19 +114,19 @@ fn a_broken_row_is_named_with_file_and_line() {
     ] {
         let rows = format!("0,1,2,3,4,0.9,2\n{row}\n");
         let parts = ["detections/a.csv:3: ", part];
-        assert_refused(recorded(INDEX, Some(&rows), None), &parts);
+        assert_refused(recorded(INDEX, Some(&rows), NO_FILE), &parts);
     }
 }
 
 #[test]
 fn a_file_that_is_missing_or_not_what_its_name_says_is_named() {
     let parts = ["detections/a.csv", "needs its detections"];
-    assert_refused(recorded(INDEX, None, None), &parts);
+    assert_refused(recorded(INDEX, NO_FILE, NO_FILE), &parts);
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
     let header = "a.csv:1: the header is `frame,x`";
     assert_refused(recorded::read(files.path()), &[header]);
     let index = "{\n\"sequences\": [{]}";
-    assert_refused(recorded(index, Some(""), None), &["sequences.json:2: "]);
+    assert_refused(recorded(index, NO_ROWS, NO_FILE), &["sequences.json:2: "]);
 }
 
 #[test]
@@ -131,7 +137,7 @@ fn an_impossible_description_is_rejected() {
         (INDEX.replace("100", "0"), "pictures of 0x50"),
         (INDEX.replace("10,", "-1,"), "frame rate"),
     ] {
-        assert_refused(recorded(&index, Some(""), None), &[part]);
+        assert_refused(recorded(&index, NO_ROWS, NO_FILE), &[part]);
     }
 }
 
@@ -155,15 +161,15 @@ fn meaningless_rows_are_dropped_counted_and_named() {
 
 #[test]
 fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
-    let undetected = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
+    let undetected = recorded(INDEX, NO_ROWS, Some("0,1,1,5,5,2,1\n")).unwrap();
     let lines = undetected.report.lines().join("\n");
     assert!(lines.contains("no detections"), "{lines}");
-    let unlabelled = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
+    let unlabelled = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), NO_FILE).unwrap();
     let lines = unlabelled.report.lines().join("\n");
     assert!(lines.contains("no ground truth"), "{lines}");
     // The index counts boxes.
     let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
-    assert_refused(recorded(&counted, Some(""), None), &["groundtruth/a.csv"]);
+    assert_refused(recorded(&counted, NO_ROWS, NO_FILE), &["groundtruth/a.csv"]);
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
-    assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
+    assert_refused(recorded(&empty, NO_ROWS, NO_FILE), &["clip without frames"]);
 }

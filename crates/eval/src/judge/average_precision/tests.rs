@@ -70,7 +70,8 @@ fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero
     let result = pooled(&[], &[vec![at(0.0, 1.0)]]);
     assert_eq!([result.ap50, result.precision, result.recall], [0.0; 3]);
     // It is written as `0`.
-    assert!(result.ap50.is_sign_positive() && result.map.is_sign_positive());
+    assert!(result.ap50.is_sign_positive());
+    assert!(result.map.is_sign_positive());
 }
 
 #[test]
@@ -119,8 +120,8 @@ fn slow_average_precision(
     let precision = |rank: usize| hits_until(rank) as f64 / (rank + 1) as f64;
     let best_from = |rank: usize| (rank..ranked.len()).map(precision).fold(0.0, f64::max);
     let hits = (0..ranked.len()).filter(|rank| ranked[*rank].is_hit);
-    let boxes: usize = truth.iter().map(Vec::len).sum();
-    hits.map(best_from).sum::<f64>() / boxes as f64
+    let to_find: usize = truth.iter().map(Vec::len).sum();
+    hits.map(best_from).sum::<f64>() / to_find as f64
 }
 
 fn some_boxes() -> impl Strategy<Value = Vec<ScoredBox>> {
