@@ -131,24 +131,27 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     if let Some(warning) = loaded.warning() {
         eprintln!("{warning}");
     }
-    let Loaded {
-        pictures: clip,
-        size,
-        ..
-    } = loaded;
-    let frames = clip.frames().unwrap_or_default();
+    if loaded.is_cut {
+        eprintln!(
+            "{}: only its first {} s are played; --seconds plays more",
+            loaded.pictures.name(),
+            arguments.seconds
+        );
+    }
+    let Loaded { pictures, size, .. } = loaded;
+    let frames = pictures.frames().unwrap_or_default();
     let truth = own_truth(&arguments.clip, size, frames)?;
     let rate = if arguments.unpaced {
         None
     } else {
-        let rate = clip.rate() * arguments.speed;
+        let rate = pictures.rate() * arguments.speed;
         check_pace(frames, rate, "see --seconds, --speed and --unpaced")?;
         Some(rate)
     };
     let scheduled = schedule(variants.len(), arguments.repeat as usize);
     let pace = match rate {
         Some(rate) => {
-            let played = frames as f64 / clip.rate() + arguments.warm_up;
+            let played = frames as f64 / pictures.rate() + arguments.warm_up;
             let run = played / arguments.speed + arguments.cool_down + 1.0;
             let all = Duration::from_secs_f64(scheduled.len() as f64 * run);
             format!("{rate} frames/s, about {}", HumanDuration(all))
@@ -159,11 +162,11 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         "{} of {} of {} at {pace}; power: {meter}",
         counted(scheduled.len() as u64, "run", "runs"),
         counted(frames, "frame", "frames"),
-        clip.name(),
+        pictures.name(),
     );
     let player = Player {
         config,
-        clip,
+        clip: pictures,
         extent,
         size,
         rate,

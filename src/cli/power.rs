@@ -121,8 +121,8 @@ mod tests {
         }
     }
 
-    #[test]
-    fn the_table_lists_each_source_its_rails_and_why_not() {
+    /// A source with rails, one of parts, and one that does not work here.
+    fn sources() -> [SourceSurvey; 3] {
         let rail = |name: &str, watts, domain, in_total| RailNow {
             name: name.to_owned(),
             watts,
@@ -147,9 +147,17 @@ mod tests {
             why_not: Some("rapl: not on this machine: no counter".to_owned()),
             ..source("rapl")
         };
-        let sources = [ina, parts, rapl];
-        insta::assert_snapshot!(table(&sources, usize::MAX));
-        let narrow = table(&sources, 60);
+        [ina, parts, rapl]
+    }
+
+    #[test]
+    fn the_table_lists_each_source_its_rails_and_why_not() {
+        insta::assert_snapshot!(table(&sources(), usize::MAX));
+    }
+
+    #[test]
+    fn on_a_narrow_terminal_a_reason_goes_on_below_its_column() {
+        let narrow = table(&sources(), 60);
         assert!(
             narrow.lines().all(|line| line.chars().count() <= 60),
             "{narrow}"

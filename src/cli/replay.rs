@@ -90,7 +90,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     };
     let bar = progress::bar(total, "frames  {msg}");
     let mut lost = 0;
-    let progress = |sent: &Sent| {
+    let after_each = |sent: &Sent| {
         if !arguments.every && *receivers.borrow() != Some(true) {
             lost += 1;
         }
@@ -99,13 +99,13 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     };
     let send = |frame| sender.send(frame);
     let telling = tell_of_receivers(receivers.clone(), &key, arguments.every, &bar);
-    let sent = tokio::select! {
-        sent = publish(source, send, options, progress, &shutdown) => sent,
+    let ended = tokio::select! {
+        sent = publish(source, send, options, after_each, &shutdown) => sent,
         never = telling => match never {},
     };
     bar.finish_and_clear();
     close(session).await?;
-    let sent = Sent { lost, ..sent? };
+    let sent = Sent { lost, ..ended? };
     println!("{}", summary(&sent, &key));
     if sent.frames > 0 && receivers.borrow().is_none() {
         bail!("no node subscribed to `{key}`: {NOBODY}");
@@ -173,16 +173,17 @@ async fn tell_of_receivers(
     every: bool,
     bar: &ProgressBar,
 ) -> Infallible {
-    let meanwhile = if every {
-        format!("the next frame waits, {}", progress::at_most(TURN))
-    } else {
-        "frames are lost".to_owned()
-    };
     let mut had_left = false;
     while receivers.changed().await.is_ok() {
         let said = match *receivers.borrow_and_update() {
             Some(false) => {
                 had_left = true;
+                // The limit counts from now.
+                let meanwhile = if every {
+                    format!("the next frame waits, {}", progress::at_most(TURN))
+                } else {
+                    "frames are lost".to_owned()
+                };
                 format!("albireo: no node subscribes to `{key}` any more, so {meanwhile}")
             }
             Some(true) if had_left => format!("albireo: a node subscribes to `{key}` again"),

@@ -36,6 +36,8 @@ pub(in crate::cli) struct Loaded {
     pub pictures: Pictures,
     /// The size of its first picture.
     pub size: PictureSize,
+    /// True if the source has more.
+    pub is_cut: bool,
     /// The pictures that cannot be decoded, with their names and why.
     pub unusable: Vec<String>,
 }
@@ -104,11 +106,17 @@ pub(in crate::cli) fn load(
         }
         pictures.push(picture);
     }
+    let mut is_cut = false;
+    if pictures.len() == most {
+        // A picture that cannot be read is one, too.
+        is_cut = !matches!(source.next(), Ok(None));
+    }
     let Some(first) = pictures.first() else {
         bail!("{}: it has no frames", source.name());
     };
     Ok(Loaded {
         size: first.size,
+        is_cut,
         pictures: Pictures::in_memory(source.name().to_owned(), pictures, source.rate()),
         unusable,
     })
@@ -119,28 +127,33 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    fn road() -> Pictures {
-        Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap()
+    /// The first pictures of the demonstration's road.
+    fn first_pictures(count: usize) -> Vec<EncodedPicture> {
+        let mut road = Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap();
+        (0..count).map(|_| road.next().unwrap().unwrap()).collect()
     }
 
     #[test]
-    fn a_clip_is_as_long_as_asked_for() {
-        let loaded = load(Box::new(road()), Extent::Seconds(0.3)).unwrap();
-        assert_eq!(loaded.pictures.frames(), Some(3));
-        assert_eq!(loaded.warning(), None);
+    fn a_clip_is_as_long_as_asked_for_and_tells_whether_there_is_more() {
+        let road = Pictures::in_memory("road".to_owned(), first_pictures(5), 10.0);
+        for (seconds, frames, is_cut) in [(0.3, 3, true), (0.5, 5, false), (9.0, 5, false)] {
+            let loaded = load(Box::new(road.clone()), Extent::Seconds(seconds)).unwrap();
+            assert_eq!(loaded.pictures.frames(), Some(frames), "{seconds}");
+            assert_eq!(loaded.is_cut, is_cut, "{seconds}");
+            assert_eq!(loaded.warning(), None);
+        }
     }
 
     #[test]
     fn a_whole_clip_is_read_to_its_end_however_slow_its_rate_is() {
-        let picture = road().next().unwrap().unwrap();
-        let two_hours = Pictures::in_memory("slow".to_owned(), vec![picture; 8], 1e-3);
+        let two_hours = Pictures::in_memory("slow".to_owned(), first_pictures(8), 1e-3);
         let loaded = load(Box::new(two_hours), Extent::Whole).unwrap();
         assert_eq!(loaded.pictures.frames(), Some(8));
     }
 
     #[test]
     fn a_clip_that_is_too_large_says_how_much_fits_and_what_its_user_can_do() {
-        let mut picture = road().next().unwrap().unwrap();
+        let [mut picture] = first_pictures(1).try_into().unwrap();
         picture.bytes = vec![0; 300 << 20].into();
         for (extent, way_out) in [
             (Extent::Whole, "split it, and its ground truth"),
@@ -157,9 +170,8 @@ mod tests {
     #[test]
     fn a_picture_that_is_cut_short_is_played_named_and_counted() {
         let folder = tempfile::tempdir().unwrap();
-        let mut road = road();
-        for name in ["1.jpg", "2.jpg", "3.jpg"] {
-            let bytes = road.next().unwrap().unwrap().bytes;
+        for (name, picture) in ["1.jpg", "2.jpg", "3.jpg"].into_iter().zip(first_pictures(3)) {
+            let bytes = picture.bytes;
             let kept = if name == "2.jpg" { 3000 } else { bytes.len() };
             std::fs::write(folder.path().join(name), &bytes[..kept]).unwrap();
         }

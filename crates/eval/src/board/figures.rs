@@ -71,11 +71,9 @@ pub(super) fn figures(
             });
         }
     }
-    let of_total = ["power-trace-1", "power-trace-2"];
-    for (name, clip) in of_total
-        .into_iter()
-        .zip(traces(setups, usize::MAX, &|domain| domain == "total"))
-    {
+    let all_policies = usize::MAX;
+    let totals = traces(setups, all_policies, &|domain| domain == "total");
+    for (name, clip) in ["power-trace-1", "power-trace-2"].into_iter().zip(totals) {
         figures.push(Plot {
             name,
             title: "Power over a clip",
@@ -83,8 +81,9 @@ pub(super) fn figures(
             svg: powers(&clip)?,
         });
     }
-    let by_domain = ["power-domains-1", "power-domains-2"];
-    for (name, clip) in by_domain.into_iter().zip(traces(setups, 2, &|domain| domain != "total")) {
+    let vanilla_and_another = 2;
+    let by_domain = traces(setups, vanilla_and_another, &|domain| domain != "total");
+    for (name, clip) in ["power-domains-1", "power-domains-2"].into_iter().zip(by_domain) {
         figures.push(Plot {
             name,
             title: "Power over a clip, by domain",

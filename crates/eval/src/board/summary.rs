@@ -215,13 +215,13 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
         Some(mean(joules.iter().map(figure))? * mean(times.iter().map(figure))?)
     };
     let edps = edp(|pair| pair.own).zip(edp(|pair| pair.before));
-    let saves = |pair: &Pair| f64::from(u8::from(pair.own < pair.before));
+    let one_if_saved = |pair: &Pair| f64::from(u8::from(pair.own < pair.before));
     Some(Changes {
         map: points(&both(&|run| run.map)),
         joules: percent(&joules),
         frame_ms: percent(&times),
         edp: edps.map(|(own, before)| 100.0 * (own / before - 1.0)),
-        clips_that_save: mean(joules.iter().map(saves)),
+        clips_that_save: mean(joules.iter().map(one_if_saved)),
         clips: clips_of(&ap50),
         ap50: points(&ap50),
     })

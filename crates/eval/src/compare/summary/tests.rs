@@ -125,8 +125,16 @@ fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
     assert_eq!(quality_of(&runs), EnergyQuality::Estimated);
     runs[0].report.energy.joules = None;
     assert_eq!(quality_of(&runs), EnergyQuality::Unavailable);
-    let summary = summarise(&comparison(&["a", "b"], runs));
+}
+
+#[test]
+fn a_run_without_energy_leaves_its_policy_without_a_mean() {
+    let [mut first, second] = round(0, [9.0, 5.0], 50);
+    first.report.energy.joules = None;
+    let summary = summarise(&comparison(&["a", "b"], vec![first, second]));
     assert_eq!(summary.policies[0].mean(Figure::Joules), None);
+    let other = summary.policies[1].mean(Figure::Joules);
+    assert_eq!(other.unwrap().mean, 5.0);
 }
 
 #[test]

@@ -46,8 +46,7 @@ fn a_clip_with_ground_truth_is_judged_by_it_as_well_and_its_size_is_told() {
         });
     }
     let found = text(&comparison);
-    let words: Vec<_> = found.split_whitespace().collect();
-    let words = words.join(" ");
+    let words = found.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(
         words.contains("834 boxes in 500 frames of 2 clips as one"),
         "{words}"
@@ -56,11 +55,15 @@ fn a_clip_with_ground_truth_is_judged_by_it_as_well_and_its_size_is_told() {
 }
 
 #[test]
-fn an_estimate_is_never_called_a_measurement_and_without_energy_there_is_no_column_for_it() {
+fn an_estimate_is_never_called_a_measurement() {
     let found = text(&played(EnergyQuality::Estimated));
     assert!(found.contains("There is no power meter here"), "{found}");
     assert!(found.contains("ESTIMATED       ESTIMATED"), "{found}");
     assert!(!found.contains("measured by"), "{found}");
+}
+
+#[test]
+fn without_energy_there_is_no_column_for_it() {
     let mut comparison = played(EnergyQuality::Unavailable);
     for run in &mut comparison.runs {
         run.report.energy.joules = None;
@@ -81,15 +84,19 @@ fn gaps_of_the_meter_are_reported_with_the_covered_share() {
     let found = text(&comparison);
     let share = "samples cover 81.5 % of the worst run";
     assert!(found.contains(share), "{found}");
-    let rows = |comparison: &Comparison| {
-        let summary = summarise(comparison);
-        let mean = |figure| summary.policies[0].mean(figure);
-        [mean(Figure::Joules), mean(Figure::Edp)]
-    };
-    // No energy of a part of a run.
-    assert_eq!(rows(&comparison), [None, None]);
-    comparison.runs[0].report.energy.coverage = 0.9995;
-    assert!(rows(&comparison).iter().all(Option::is_some));
+}
+
+#[test]
+fn the_energy_of_a_part_of_a_run_is_in_no_mean() {
+    let mut comparison = played(EnergyQuality::Partial);
+    for (coverage, is_whole) in [(0.815, false), (0.9995, true)] {
+        comparison.runs[0].report.energy.coverage = coverage;
+        let summary = summarise(&comparison);
+        for figure in [Figure::Joules, Figure::Edp] {
+            let mean = summary.policies[0].mean(figure);
+            assert_eq!(mean.is_some(), is_whole, "{figure:?} at {coverage}");
+        }
+    }
 }
 
 #[test]
