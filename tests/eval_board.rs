@@ -264,6 +264,34 @@ fn a_clip_of_hours_is_played_whole_or_refused_before_the_first_run() {
     assert_contains(&eval(&unpaced).err, &["2 of 2 runs done"]);
 }
 
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_clip_that_is_too_large_for_the_memory_is_refused_before_the_first_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("large");
+    fs::create_dir(&clip).unwrap();
+    let road = SourceName::Archive(project("demo/road.tar"));
+    let mut busy = road.open_clips(None, VideoEncoding::Jpeg).unwrap().swap_remove(0);
+    let picture = busy.next().unwrap().unwrap().bytes;
+    let mut labels = Vec::new();
+    for frame in 0..80 {
+        let file = clip.join(format!("{frame}.jpg"));
+        fs::write(&file, &picture).unwrap();
+        // The rest of its 15 MiB takes no room on the disk.
+        let file = fs::File::options().write(true).open(&file).unwrap();
+        file.set_len(15 << 20).unwrap();
+        labels.push(json!({"name": "", "videoName": "large", "frameIndex": frame, "labels": []}));
+    }
+    fs::write(folder.path().join("large.json"), json!(labels).to_string()).unwrap();
+    let place = folder.path().display();
+    let refused = eval(&format!(
+        "board {place}/large --ground-truth {place}/large.json --truth-format bdd100k --out {place}/out"
+    ));
+    let why = "large: its pictures have 1200 MiB, and a clip may take 1024 MiB of memory: split it";
+    assert_contains(&refused.fails(), &[why]);
+    assert!(!folder.path().join("out").exists());
+}
+
 /// Writes a video that begins between two key frames: its file counts the frames from the first of them, and fewer are played.
 /// Returns their number.
 fn cut_video(folder: &Path) -> usize {

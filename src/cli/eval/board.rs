@@ -304,6 +304,7 @@ fn measured_clips(
                 eprintln!("{name}: not in the ground truth, left out");
                 continue;
             }
+            clip::check_size(&*footage)?;
             let frames = footage.frames();
             let mut content = None;
             if let Some(frames) = frames
@@ -315,10 +316,10 @@ fn measured_clips(
                 }
                 let first = footage.next()?;
                 let first = first.with_context(|| format!("{name}: it has no pictures"))?;
-                let clip = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
-                all += clip.frames;
-                unlabelled += clip.unlabelled();
-                content = Some(content_of(&clip));
+                let judged = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
+                all += judged.frames;
+                unlabelled += judged.unlabelled();
+                content = Some(content_of(&judged));
             }
             clips.push(MeasuredClip {
                 name,

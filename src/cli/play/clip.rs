@@ -4,7 +4,7 @@ use crate::cli::values::counted;
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, decode_small_grey};
-use anyhow::bail;
+use anyhow::{bail, ensure};
 
 /// The most bytes of a clip, many times those of any picture.
 const MAX_BYTES: usize = 1 << 30;
@@ -63,6 +63,23 @@ impl Loaded {
              it. Repair or leave out what `albireo detect` names. The first: {first}"
         ))
     }
+}
+
+/// Refuses a whole clip that is too large for the memory, if its size is known before it is read.
+///
+/// # Errors
+/// Its size, and what can be done.
+pub(in crate::cli) fn check_size(source: &dyn FrameSource) -> anyhow::Result<()> {
+    let bytes = source.bytes().unwrap_or_default();
+    ensure!(
+        bytes <= MAX_BYTES as u64,
+        "{}: its pictures have {} MiB, and a clip may take {} MiB of memory: {}",
+        source.name(),
+        bytes >> 20,
+        MAX_BYTES >> 20,
+        Extent::Whole.way_out()
+    );
+    Ok(())
 }
 
 /// Reads `extent` of `source`, and tries each picture.

@@ -30,6 +30,11 @@ impl ArchivedPicture {
         format!("{}, picture {number}", self.archive.path.display())
     }
 
+    /// The bytes of the encoded picture.
+    pub(super) fn bytes(&self) -> u64 {
+        self.length as u64
+    }
+
     /// Reads the picture, which is the one of this number.
     pub(super) fn read(&self, number: usize) -> Result<EncodedPicture, EvalError> {
         let named = |fault: &dyn std::fmt::Display| {

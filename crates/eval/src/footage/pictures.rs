@@ -126,6 +126,18 @@ impl FrameSource for Pictures {
         Some(self.pictures.len() as u64)
     }
 
+    fn bytes(&self) -> Option<u64> {
+        let mut bytes = 0;
+        for member in &self.pictures {
+            bytes += match &member.location {
+                Location::File(file) => file.metadata().ok()?.len(),
+                Location::Archive(picture) => picture.bytes(),
+                Location::Memory(picture) => picture.bytes.len() as u64,
+            };
+        }
+        Some(bytes)
+    }
+
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let Some(member) = self.pictures.get(self.passed) else {
             return Ok(None);
@@ -269,6 +281,22 @@ mod tests {
         let path = file.path().to_str().unwrap();
         let what = text.strip_prefix(path).expect("the archive is named first");
         what.to_owned()
+    }
+
+    #[test]
+    fn the_bytes_of_a_folder_and_an_archive_are_known_before_they_are_read() {
+        let pictures = [jpeg(8), jpeg(16)];
+        let folder = tempfile::tempdir().unwrap();
+        for (name, picture) in ["1.jpg", "2.jpg"].into_iter().zip(&pictures) {
+            std::fs::write(folder.path().join(name), picture).unwrap();
+        }
+        let bytes = pictures.iter().map(Vec::len).sum::<usize>() as u64;
+        let of_folder = Pictures::of_folder(folder.path(), 5.0).unwrap();
+        assert_eq!(of_folder.bytes(), Some(bytes));
+        let [first, second] = pictures;
+        let file = archive(&[("busy/1.jpg", first), ("busy/2.jpg", second)]);
+        let of_archive = Pictures::of_archive(file.path(), 5.0).unwrap();
+        assert_eq!(of_archive.bytes(), Some(bytes));
     }
 
     #[test]

@@ -25,6 +25,11 @@ pub trait FrameSource: Send {
     /// The number of frames of one pass, if it is known beforehand.
     fn frames(&self) -> Option<u64>;
 
+    /// The bytes of the encoded pictures of one pass, if they are known without reading them.
+    fn bytes(&self) -> Option<u64> {
+        None
+    }
+
     /// The clip of the last picture, if the source has several clips, which share no objects.
     fn clip(&self) -> Option<&str> {
         None
