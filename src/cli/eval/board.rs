@@ -19,7 +19,7 @@ use albireo_eval::spec::{Base, PolicySpec, Sweep, resolve_with_pause};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use indicatif::HumanDuration;
 use std::collections::BTreeMap;
@@ -311,11 +311,12 @@ fn measured_clips(
                 && !is_video
             {
                 if arguments.paced {
-                    let rate = rate(arguments, truth, alone, &*footage);
+                    let rate = paced_rate(arguments, truth, alone, &*footage);
                     check_pace(frames, rate, WITHOUT_PACE).with_context(|| name.clone())?;
                 }
-                let first = footage.next()?;
-                let first = first.with_context(|| format!("{name}: it has no pictures"))?;
+                let Some(first) = footage.next()? else {
+                    bail!("{name}: it has no pictures");
+                };
                 let judged = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
                 all += judged.frames;
                 unlabelled += judged.unlabelled();
@@ -349,7 +350,7 @@ fn labelled(frames: usize, all: usize) -> String {
 
 /// The frames per second at which a clip is paced: those that the user names, which the opened source has, or those of the ground
 /// truth, or the source's own.
-fn rate(
+fn paced_rate(
     arguments: &BoardArguments,
     truth: &GroundTruth,
     alone: bool,
@@ -493,7 +494,7 @@ impl Measuring<'_> {
         let arguments = self.arguments;
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
-        let rate = rate(arguments, &self.truth, self.alone, &*source);
+        let rate = paced_rate(arguments, &self.truth, self.alone, &*source);
         let extent = Extent::Whole;
         let loading = tokio::task::spawn_blocking(move || clip::load(source, extent));
         let loaded = loading.await.context("reading the clip")??;
