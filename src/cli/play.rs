@@ -552,6 +552,15 @@ mod tests {
         assert_eq!(played.frame_ms(Some(30.0)), 30.5);
     }
 
+    #[test]
+    fn a_paced_clip_of_more_than_an_hour_is_refused_with_its_time_and_the_way_out() {
+        assert!(check_pace(3600, 1.0, "split it").is_ok());
+        let refused = check_pace(5000, 1.0, "split it").unwrap_err().to_string();
+        let said =
+            "5000 frames at 1 frames/s take 5000 s, and one report covers 3600 s at most: split it";
+        assert_eq!(refused, said);
+    }
+
     /// The configuration of a run under `policy`, written as on the command line.
     fn configuration_of(base: &NodeConfig, policy: &str) -> NodeConfig {
         let settings = Base {
