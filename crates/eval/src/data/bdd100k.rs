@@ -317,17 +317,19 @@ impl Frame {
             let number: usize = digits.parse().ok()?;
             Some((video, number.checked_sub(1)?))
         });
-        match (&self.video, by_name) {
-            (None, Some((video, number))) => FramePlace {
+        if self.video.is_none()
+            && let Some((video, number)) = by_name
+        {
+            return FramePlace {
                 video: video.to_owned(),
                 index: self.index.unwrap_or(number),
                 is_by_name: self.index.is_none(),
-            },
-            (video, _) => FramePlace {
-                video: video.as_deref().unwrap_or(file_stem).to_owned(),
-                index: self.index.unwrap_or(position),
-                is_by_name: false,
-            },
+            };
+        }
+        FramePlace {
+            video: self.video.as_deref().unwrap_or(file_stem).to_owned(),
+            index: self.index.unwrap_or(position),
+            is_by_name: false,
         }
     }
 }

@@ -48,11 +48,13 @@ impl Row<'_> {
 
     /// Four consecutive fields as numbers, the first of them at `index`.
     pub(super) fn numbers(&self, index: usize, names: [&str; 4]) -> Result<[f64; 4], EvalError> {
-        let mut numbers = [0.0; 4];
-        for (at, (number, name)) in numbers.iter_mut().zip(names).enumerate() {
-            *number = self.number(index + at, name)?;
-        }
-        Ok(numbers)
+        let [first, second, third, fourth] = names;
+        Ok([
+            self.number(index, first)?,
+            self.number(index + 1, second)?,
+            self.number(index + 2, third)?,
+            self.number(index + 3, fourth)?,
+        ])
     }
 
     /// The field at `index` as a whole number, which the file may write with a decimal point.

@@ -203,14 +203,15 @@ pub(super) fn excused_at_50(
     classes: Classes,
 ) -> Vec<bool> {
     let mut excused = vec![false; found.len()];
-    let mut judged: Vec<Option<ClassId>> = match classes {
+    // All boxes together, or those of each class by themselves.
+    let mut groups: Vec<Option<ClassId>> = match classes {
         Classes::Pooled => vec![None],
         Classes::Separate => found.iter().map(|found| Some(found.class)).collect(),
     };
-    judged.sort_unstable();
-    judged.dedup();
+    groups.sort_unstable();
+    groups.dedup();
     let mut frame = FrameMatcher::default();
-    for class in judged {
+    for class in groups {
         frame.take(found, objects, ignored, class);
         frame.match_all();
         for (prediction, outcome) in frame.predictions.iter().zip(&frame.outcomes) {

@@ -81,12 +81,18 @@ pub fn attach_pictures(
     Ok(())
 }
 
+/// A frame that lost objects, and how many.
+struct Loss {
+    frame: usize,
+    lost: usize,
+}
+
 /// Returns the frames of `replayed` that lost the most objects, the worst first.
 pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> Vec<WorstFrame> {
     let (Some(truth), Some(detections)) = (&clip.truth, &clip.detections) else {
         return Vec::new();
     };
-    let mut lost: Vec<(usize, usize)> = Vec::new();
+    let mut losses: Vec<Loss> = Vec::new();
     for (frame, record) in replayed.frames.iter().enumerate() {
         let (Some(objects), Some(found)) = (truth.get(frame), replayed.boxes.get(frame)) else {
             continue;
@@ -101,14 +107,14 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             .filter(|detection| detection.confidence >= confidence)
             .copied()
             .collect();
-        let missed = hits(&detected, objects).saturating_sub(hits(found, objects));
-        if missed > 0 {
-            lost.push((missed, frame));
+        let lost = hits(&detected, objects).saturating_sub(hits(found, objects));
+        if lost > 0 {
+            losses.push(Loss { frame, lost });
         }
     }
-    lost.sort_by_key(|&(missed, frame)| (std::cmp::Reverse(missed), frame));
+    losses.sort_by_key(|loss| (std::cmp::Reverse(loss.lost), loss.frame));
     let mut kept: Vec<WorstFrame> = Vec::new();
-    for (missed, frame) in lost {
+    for Loss { frame, lost } in losses {
         let near = |other: &WorstFrame| other.frame.abs_diff(frame) < MIN_DISTANCE;
         if kept.len() == KEPT || kept.iter().any(near) {
             continue;
@@ -116,7 +122,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
         kept.push(WorstFrame {
             frame,
             state: replayed.frames[frame].state,
-            lost: missed,
+            lost,
             size: clip.picture,
             truth: truth[frame].iter().map(|object| object.corners).collect(),
             found: replayed.boxes[frame].iter().map(|found| found.corners).collect(),
