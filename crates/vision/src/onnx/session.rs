@@ -55,6 +55,11 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
+    /// True if `provider` is to record the runs of a session.
+    fn records(&self, provider: ExecutionProvider) -> bool {
+        provider == ExecutionProvider::Cuda && self.gpu.cuda_graph
+    }
+
     /// These, for a session whose runs are not recorded.
     fn without_graph(&self) -> Self {
         let mut settings = self.clone();
@@ -138,14 +143,15 @@ impl OnnxSession {
         settings: &SessionSettings,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
-        if provider != ExecutionProvider::Cuda || !settings.gpu.cuda_graph {
-            return Self::open_as(environment, settings, provider);
+        match Self::open_as(environment, settings, provider) {
+            Err(error) if settings.records(provider) => {
+                // If it opens without, recording is what failed.
+                let opened = Self::open_as(environment, &settings.without_graph(), provider)?;
+                warn!(%error, "{NOT_RECORDED}");
+                Ok(opened)
+            }
+            opened => opened,
         }
-        Self::open_as(environment, settings, provider).or_else(|error| {
-            let opened = Self::open_as(environment, &settings.without_graph(), provider)?;
-            warn!(%error, "{NOT_RECORDED}");
-            Ok(opened)
-        })
     }
 
     fn open_as(
@@ -180,7 +186,7 @@ impl OnnxSession {
             unrecorded: recorded::unrecorded().map_err(failed)?,
             buffers: RunBuffers::default(),
         };
-        if provider == ExecutionProvider::Cuda && settings.gpu.cuda_graph {
+        if settings.records(provider) {
             let memory = provider::memory(provider, &settings.gpu, &opened.session);
             opened.record_in(memory.map_err(failed)?);
         }
@@ -267,12 +273,12 @@ impl OnnxSession {
     /// If ONNX Runtime fails: its words.
     pub fn run<R>(
         &mut self,
-        mut shape: [i64; 4],
+        shape: [i64; 4],
         size: PictureSize,
         pictures: &[&InputTensor],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, String> {
-        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        let shape = of_batch(shape, pictures.len());
         self.run_on(shape, size, pictures, read).map_err(|error| in_words(&error))
     }
 
@@ -333,11 +339,11 @@ impl OnnxSession {
     /// If the model cannot be recorded: its outputs depend on what is in a picture, or not every part of it runs on the GPU.
     pub(crate) fn record(
         &mut self,
-        mut shape: [i64; 4],
+        shape: [i64; 4],
         size: PictureSize,
         pictures: &[&InputTensor],
     ) -> Result<(), String> {
-        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        let shape = of_batch(shape, pictures.len());
         self.record_on(shape, size, pictures).map_err(|error| in_words(&error))
     }
 
@@ -390,6 +396,12 @@ impl OnnxSession {
         }
         Ok(())
     }
+}
+
+/// The shape of `batch` pictures, where `shape` is that of one.
+fn of_batch(mut shape: [i64; 4], batch: usize) -> [i64; 4] {
+    shape[0] = i64::try_from(batch).unwrap_or(i64::MAX);
+    shape
 }
 
 /// Shows `outputs` to `read`.
