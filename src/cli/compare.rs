@@ -316,10 +316,13 @@ fn judge(
 ) -> anyhow::Result<Comparison> {
     let vanilla = variants.iter().position(|variant| variant.config.name == BASELINE);
     let boxes_of = vanilla.unwrap_or(0);
-    let mut classes = ClassNumbers::default();
     let first = player.warm_up_frames();
-    let boxes: Vec<Boxes> =
-        done.iter().map(|(_, played)| played.boxes(first, &mut classes)).collect();
+    // One numbering for all runs.
+    let mut classes = ClassNumbers::default();
+    let mut boxes: Vec<Boxes> = Vec::new();
+    for (_, played) in &done {
+        boxes.push(played.boxes(first, &mut classes));
+    }
     // A detector finds the same objects in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
     for ((run, _), boxes) in done.iter().zip(&boxes) {

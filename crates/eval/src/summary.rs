@@ -61,10 +61,8 @@ impl Pooled {
         let matches: Option<Vec<&Matches>> =
             results.iter().map(|result| result.matches.as_ref()).collect();
         let accuracy = Matches::joined(matches?)?.accuracy()?;
-        let sum = |count: &dyn Fn(&ClipResult) -> usize| -> usize {
-            results.iter().map(|result| count(result)).sum()
-        };
-        let frames = sum(&|result| result.frames).max(1) as f64;
+        let played: usize = results.iter().map(|result| result.frames).sum();
+        let frames = played.max(1) as f64;
         let skipped = results.iter().map(|result| result.skip_rate() * result.frames as f64);
         let newcomers = || results.iter().filter_map(|result| result.newcomers);
         let objects: usize = newcomers().map(|found| found.objects).sum();
@@ -317,6 +315,7 @@ impl Means<'_> {
 
     /// The projected energy of a clip.
     fn energy(&self) -> Option<Energy> {
+        // It is projected for all clips of a run or for none.
         self.results.first()?.energy?;
         let mean = |figure: fn(Energy) -> f64| self.all(|result| result.energy.map_or(0.0, figure));
         Some(Energy {

@@ -388,7 +388,10 @@ fn whole(run: &Run) -> String {
 
 /// Formats an entry of a rollout's record, with its time since the rollout began.
 fn entry_text(entry: &Entry, begun_ms: i64) -> String {
-    let who = entry.who.as_ref().map(|who| format!(" by {who}"));
+    let who = match &entry.who {
+        Some(who) => format!(" by {who}"),
+        None => String::new(),
+    };
     let reason = match entry.text.as_str() {
         "" => String::new(),
         text => format!(": {text}"),
@@ -399,25 +402,31 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
         format!("+{}", span((entry.at_ms - begun_ms) / 1000)),
         entry.stage,
         name_of(&entry.what),
-        who.unwrap_or_default(),
+        who,
     );
     if entry.gates.is_empty() {
         return text;
     }
     let mean = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), figure);
     let rows = entry.gates.iter().map(|result| {
-        let measured = result.figure.map(|figure| figure.to_string());
+        let measured = match result.figure {
+            Some(figure) => figure.to_string(),
+            None => "not measured".to_owned(),
+        };
         let is_relative = result.gate.scale == Scale::Relative;
-        let change = result.change.as_ref().map(|change| interval(change, is_relative));
+        let change = match &result.change {
+            Some(change) => interval(change, is_relative),
+            None => "-".to_owned(),
+        };
         [
             format!("   {}", result.gate),
             name_of(&result.verdict),
-            change.unwrap_or("-".to_owned()),
+            change,
             mean(result.before),
             mean(result.after),
             result.nodes.to_string(),
             result.compared.to_string(),
-            measured.unwrap_or_else(|| "not measured".to_owned()),
+            measured,
         ]
     });
     // The verdict comes early: a terminal of 80 columns cuts the end.

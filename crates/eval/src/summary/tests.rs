@@ -68,7 +68,8 @@ fn the_skip_frontier_contains_every_unbeaten_policy() {
 #[test]
 fn pooled_figures_are_those_of_the_clips_as_one() {
     let truth = |frames: usize| vec![vec![at(0.0, 1.0)]; frames];
-    // The first clip has one sure box that is wrong; alone it ranks first, among all frames it is one of many.
+    // The surest box is wrong. It is one of two boxes of the first clip, and one of eight of both, so that it costs the mean of
+    // the clips more than the figure of both as one.
     let found = [
         vec![vec![at(50.0, 0.9)], vec![at(0.0, 0.8)]],
         vec![vec![at(0.0, 0.7)]; 6],

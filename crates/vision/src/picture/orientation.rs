@@ -229,7 +229,8 @@ mod tests {
         let big = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
         assert_eq!(tag(little), Some(6));
         assert_eq!(tag(big), Some(6));
-        for length in 0..18 {
+        // The value ends behind the twentieth byte.
+        for length in 0..20 {
             assert_eq!(tag(&little[..length]), None);
         }
         assert_eq!(tag(b"II*\0\xff\xff\xff\xff"), None);

@@ -85,10 +85,10 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
     };
     let rates = [&stream.avg_frame_rate, &stream.r_frame_rate];
     let rate = rates.into_iter().flatten().find_map(|text| frame_rate(text));
-    let length = answer.format.duration.and_then(|seconds| seconds.parse().ok());
+    let seconds = answer.format.duration.and_then(|text| text.parse::<f64>().ok());
     let created = answer.format.tags.creation_time.and_then(|time| created_ns(&time));
     Ok(VideoFacts {
-        length: Duration::try_from_secs_f64(length.unwrap_or(0.0)).unwrap_or_default(),
+        length: Duration::try_from_secs_f64(seconds.unwrap_or(0.0)).unwrap_or_default(),
         created_ns: created,
         rate,
     })
@@ -98,7 +98,11 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
 pub fn frame_rate(text: &str) -> Option<f64> {
     let (numerator, denominator) = text.split_once('/').unwrap_or((text, "1"));
     let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
-    (rate.is_finite() && rate > 0.0 && rate <= 1000.0).then_some(rate)
+    if rate > 0.0 && rate <= 1000.0 {
+        Some(rate)
+    } else {
+        None
+    }
 }
 
 fn created_ns(time: &str) -> Option<u64> {
@@ -156,12 +160,17 @@ fn mp4_boxes(file: &mut File) -> io::Result<Vec<Mp4Box>> {
         let Some((kind, behind)) = behind.split_first_chunk::<4>() else {
             break;
         };
-        let size = match (u32::from_be_bytes(*size), behind.first_chunk::<8>()) {
-            // The size follows in eight bytes.
-            (1, Some(long)) => u64::from_be_bytes(*long),
+        let size = match u32::from_be_bytes(*size) {
             // To the end of the file.
-            (0, _) => break,
-            (short, _) => u64::from(short),
+            0 => break,
+            // The size follows in eight bytes.
+            1 => {
+                let Some(long) = behind.first_chunk::<8>() else {
+                    break;
+                };
+                u64::from_be_bytes(*long)
+            }
+            short => u64::from(short),
         };
         let is_first = boxes.is_empty();
         if size < 8 || (is_first && kind != b"ftyp") {

@@ -34,8 +34,10 @@ fn happens() -> impl Strategy<Value = Happens> {
 async fn play(script: Vec<Happens>) {
     let mut stage = stage(in_threes()).await;
     let steps = stage.steps.clone();
-    // A worker whose thread was stuck takes no more steps.
-    let end = |step| _ = steps.send(step);
+    let end = |step| {
+        // A worker whose thread was stuck takes no more steps, and has no run to end.
+        let _ = steps.send(step);
+    };
     let mut asked: Vec<(usize, Asked)> = Vec::new();
     for happens in script {
         match happens {
@@ -56,8 +58,8 @@ async fn play(script: Vec<Happens>) {
     for _ in &asked {
         end(Step::Answer);
     }
-    // The worker counts an abandoned picture until it checks its queue again.
     let is_over = |asked: &[(usize, Asked)]| asked.iter().all(|(_, answer)| answer.is_finished());
+    // An abandoned picture is among the waiting until the worker looks at its queue again.
     while !is_over(&asked) || stage.counts().waiting > 0 {
         pass(Duration::from_millis(100)).await;
     }
@@ -82,6 +84,7 @@ async fn play(script: Vec<Happens>) {
             // Refused; counted only while the worker's task runs.
             Ok(Err(RunError::Stopped)) => stopped += 1,
             Ok(Err(_)) => {}
+            // One that did not get its picture back has panicked instead (`Stage::ask`).
             Err(aborted) => {
                 assert!(aborted.is_cancelled());
                 gave_up += 1;
