@@ -76,17 +76,10 @@ impl PreparedFrame {
         encoded: &EncodedPicture,
         pixels: &PixelWork,
     ) -> Result<(), FrameFault> {
-        let start = Instant::now();
-        let SharedWork {
-            limits,
-            preparation,
-            screen,
-            pictures,
-            greys,
-            ..
-        } = &*pixels.0;
         match stage {
             Stage::Grey | Stage::SmallGrey(_) => {
+                let start = Instant::now();
+                let SharedWork { limits, greys, .. } = &*pixels.0;
                 self.grey = None;
                 let mut grey = greys.take(0);
                 let made = match stage {
@@ -99,29 +92,42 @@ impl PreparedFrame {
                 self.grey = Some((stage, grey));
                 self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
             }
-            Stage::Picture => {
-                let layout = PixelLayout::Rgb8;
-                let most = encoded.size.pixels().saturating_mul(layout.channels() as u64);
-                let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
-                let target = decoding_target(preparation.format(), *screen, encoded.size);
-                let made = decode(encoded, limits, layout, Some(target), &mut picture);
-                let picture = pictures.pooled(picture);
-                made?;
-                self.picture = Some(picture);
-                self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
-            }
+            Stage::Picture => self.picture = Some(self.decoded(encoded, pixels)?),
             Stage::Prepared => {
-                if self.picture.is_none() {
-                    self.add(Stage::Picture, encoded, pixels)?;
-                }
-                let Some(picture) = &self.picture else {
-                    return Ok(());
+                let picture = match self.picture.take() {
+                    Some(picture) => picture,
+                    None => self.decoded(encoded, pixels)?,
                 };
-                self.prepared = Some(preparation.prepare(picture)?);
-                self.picture = None;
+                self.prepared = Some(pixels.0.preparation.prepare(&picture)?);
             }
         }
         Ok(())
+    }
+
+    /// The whole picture, as large as the detector or the screen needs it.
+    fn decoded(
+        &mut self,
+        encoded: &EncodedPicture,
+        pixels: &PixelWork,
+    ) -> Result<PooledPicture, FrameFault> {
+        let start = Instant::now();
+        let SharedWork {
+            limits,
+            preparation,
+            screen,
+            pictures,
+            ..
+        } = &*pixels.0;
+        let layout = PixelLayout::Rgb8;
+        let most = encoded.size.pixels().saturating_mul(layout.channels() as u64);
+        let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
+        let target = decoding_target(preparation.format(), *screen, encoded.size);
+        let made = decode(encoded, limits, layout, Some(target), &mut picture);
+        // The buffer goes back even after a fault.
+        let picture = pictures.pooled(picture);
+        made?;
+        self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
+        Ok(picture)
     }
 }
 
@@ -155,7 +161,9 @@ impl PixelWork {
         batch_size: usize,
     ) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
-        let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
+        let in_runs = 2 * batch_size.max(1);
+        let in_preparation = processors.div_ceil(2);
+        let places = in_runs + in_preparation;
         Self(Arc::new(SharedWork {
             limits,
             preparation,

@@ -21,13 +21,13 @@ impl PictureFileError {
     }
 }
 
-/// True if the file's name is that of a JPEG or PNG file.
+/// True if the file's name is that of a JPEG or PNG file. Hidden files are none: a Mac writes `._1.jpg` beside `1.jpg` on
+/// cards and into archives.
 pub fn is_picture_file(path: &Path) -> bool {
-    path.extension()
-        .and_then(|extension| extension.to_str())
-        .is_some_and(|extension| {
-            ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
-        })
+    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
+    let is_known = ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known));
+    is_known && !is_hidden
 }
 
 /// Returns the JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`), or
@@ -55,8 +55,8 @@ pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
     Ok(files)
 }
 
-/// The file's name with its numbers padded, so that they compare by value.
-fn natural_key(file: &Path) -> (String, PathBuf) {
+/// The file's name with its numbers padded, so that they compare by value, and its path, which tells files of one key apart.
+pub fn natural_key(file: &Path) -> (String, PathBuf) {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let is_digit = |byte: &u8| byte.is_ascii_digit();
     let padded = |part: &[u8]| {
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn pictures_come_in_natural_order_and_other_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
-        for name in "f10.jpg f9.jpg f9b.PNG notes.txt a2.jpeg f010.jpg".split(' ') {
+        for name in "f10.jpg f9.jpg f9b.PNG notes.txt ._f9.jpg a2.jpeg f010.jpg".split(' ') {
             std::fs::write(folder.path().join(name), b"").unwrap();
         }
         std::fs::create_dir(folder.path().join("sub.jpg")).unwrap();

@@ -11,6 +11,8 @@ use std::sync::Arc;
 const MASKED: u8 = 114;
 /// A box is looked at in so many places across and down.
 const PLACES: u32 = 16;
+/// So many find a strip that a mask leaves free, if it is wider than 0.4 % of the picture.
+const PLACES_OF_PICTURE: u32 = 256;
 /// The smallest width and height of what a crop leaves, shares of the picture.
 const LEAST_PART: f64 = 0.01;
 
@@ -77,8 +79,10 @@ impl EncodedPicture {
     #[must_use]
     pub fn mounted(self, mount: Option<&Arc<Mount>>) -> Self {
         let Some(mount) = mount else { return self };
+        let turned = mount.turn().turned(self.size);
+        let kept = mount.part(turned);
         Self {
-            size: mount.part(mount.turn().turned(self.size)).size,
+            size: kept.size,
             mount: Some(Mounted {
                 mount: Arc::clone(mount),
                 sent: self.size,
@@ -127,7 +131,8 @@ impl Mount {
             }
         }
         let all = BoundingBox::new(0.5, 0.5, 1.0, 1.0);
-        if problems.is_empty() && self.hidden_places(all) == PLACES * PLACES {
+        let places = PLACES_OF_PICTURE;
+        if problems.is_empty() && self.hidden_places(all, places) == places * places {
             let reason = "covers the whole picture, so nothing would ever be reported";
             problems.push(("mask", reason.to_owned()));
         }
@@ -136,21 +141,24 @@ impl Mount {
 
     /// True if the mask hides the box: if more than half of what the picture shows of it lies in the mask.
     pub fn hides(&self, bounding_box: BoundingBox) -> bool {
-        !self.mask.0.is_empty() && self.hidden_places(bounding_box) > PLACES * PLACES / 2
+        let half = PLACES * PLACES / 2;
+        !self.mask.0.is_empty() && self.hidden_places(bounding_box, PLACES) > half
     }
 
-    /// In how many of `PLACES` x `PLACES` places, spread evenly over the box, the mask lies.
-    fn hidden_places(&self, bounding_box: BoundingBox) -> u32 {
+    /// In how many of `places` x `places` places, spread evenly over the box, the mask lies.
+    fn hidden_places(&self, bounding_box: BoundingBox, places: u32) -> u32 {
         let Corners { x1, y1, x2, y2 } = bounding_box.corners().clipped();
         let place = |from: f64, to: f64, number: u32| {
-            from + (to - from) * (f64::from(number) + 0.5) / f64::from(PLACES)
+            from + (to - from) * (f64::from(number) + 0.5) / f64::from(places)
         };
         let mut hidden = 0;
-        for row in 0..PLACES {
+        for row in 0..places {
             let y = place(y1, y2, row);
-            for column in 0..PLACES {
+            for column in 0..places {
                 let x = place(x1, x2, column);
-                hidden += u32::from(self.mask.0.iter().any(|polygon| contains(polygon, x, y)));
+                if self.mask.0.iter().any(|polygon| contains(polygon, x, y)) {
+                    hidden += 1;
+                }
             }
         }
         hidden
@@ -177,20 +185,22 @@ impl Mount {
         }
     }
 
-    /// The size of a whole picture whose part, if it has the size `part`, is large enough.
+    /// The size at which a turned picture must be decoded so that what is kept of it is at least `part`.
     pub(super) fn whole(&self, part: PictureSize) -> PictureSize {
         let [left, top, right, bottom] = self.crop.unwrap_or([0.0, 0.0, 1.0, 1.0]);
-        let side = |part: u32, share: f64| (f64::from(part) / share).ceil() as u32;
+        let side = |kept: u32, share: f64| (f64::from(kept) / share).ceil() as u32;
         PictureSize::new(
             side(part.width, right - left),
             side(part.height, bottom - top),
         )
     }
 
-    /// Paints the mask into a picture that is turned and cropped. A pixel that the edge of a polygon crosses is masked.
+    /// Paints the mask into a picture that is turned and cropped. A row is masked where its middle lies in a polygon, outwards
+    /// to whole pixels.
     pub(super) fn paint(&self, picture: &mut Picture) {
         let width = picture.size.width as usize;
         let height = picture.size.height as usize;
+        let columns = width as f64;
         let channels = picture.layout.channels();
         let mut crossings = Vec::new();
         let rows = picture.pixels.chunks_exact_mut((width * channels).max(1));
@@ -201,9 +211,10 @@ impl Mount {
                 crossings.extend(crossed(polygon, y));
                 crossings.sort_by(f64::total_cmp);
                 // What lies between two crossings is inside.
-                for pair in crossings.chunks_exact(2) {
-                    let from = (pair[0] * width as f64).floor().clamp(0.0, width as f64) as usize;
-                    let to = (pair[1] * width as f64).ceil().clamp(0.0, width as f64) as usize;
+                let (inside, _) = crossings.as_chunks::<2>();
+                for [enters, leaves] in inside {
+                    let from = (enters * columns).floor().clamp(0.0, columns) as usize;
+                    let to = (leaves * columns).ceil().clamp(0.0, columns) as usize;
                     pixels[from * channels..to * channels].fill(MASKED);
                 }
             }
@@ -213,9 +224,12 @@ impl Mount {
 
 /// The pixels of a side of `length` between two shares of it, at least one if it has any.
 fn pixels_between(from: f64, to: f64, length: u32) -> Range<u32> {
+    if length == 0 {
+        return 0..0;
+    }
     let pixel = |share: f64| (share * f64::from(length)).round() as u32;
-    let start = pixel(from).min(length.saturating_sub(1));
-    let end = pixel(to).clamp((start + 1).min(length), length);
+    let start = pixel(from).min(length - 1);
+    let end = pixel(to).clamp(start + 1, length);
     start..end
 }
 
@@ -247,7 +261,8 @@ fn fault_of_crop(crop: [f64; 4]) -> Option<String> {
         ("left", left, "right", right),
         ("top", top, "bottom", bottom),
     ] {
-        if end - begin < LEAST_PART {
+        // 0.35 - 0.34 is a little less than 0.01.
+        if end - begin < LEAST_PART - 1e-9 {
             return Some(format!(
                 "leaves nothing: {first} is {begin} and {second} {end}; the order is left, top, right, bottom"
             ));

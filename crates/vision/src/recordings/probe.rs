@@ -148,6 +148,7 @@ struct Mp4Box {
 
 /// The outermost boxes of an MP4 file; nothing of another file.
 fn mp4_boxes(file: &mut File) -> io::Result<Vec<Mp4Box>> {
+    let length = file.metadata()?.len();
     let mut boxes = Vec::new();
     let mut at = 0;
     while boxes.len() < MOST_BOXES {
@@ -162,7 +163,7 @@ fn mp4_boxes(file: &mut File) -> io::Result<Vec<Mp4Box>> {
         };
         let size = match u32::from_be_bytes(*size) {
             // To the end of the file.
-            0 => break,
+            0 => length.saturating_sub(at),
             // The size follows in eight bytes.
             1 => {
                 let Some(long) = behind.first_chunk::<8>() else {

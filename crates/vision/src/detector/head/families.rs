@@ -175,7 +175,8 @@ fn other_anchors(anchors: i64, size: PictureSize) -> String {
     )
 }
 
-/// The one output that fits an anchor's worth of numbers; exports for training have others beside it.
+/// The index of the only output, or of the only one with a row or a column for each cell: exports for training have others
+/// beside it.
 fn with_anchors(signature: &Signature, size: PictureSize) -> Result<usize, String> {
     let outputs = &signature.outputs;
     if outputs.len() == 1 {
@@ -198,17 +199,32 @@ fn is_cells(side: i64, size: PictureSize) -> bool {
     side != -1 && YOLO_STRIDES.iter().any(|strides| can_be(side, cells(size, strides)))
 }
 
-/// A row of scores per class, in either direction of the output: the direction that has as many anchors as the input has
-/// cells, else one row per number.
+/// True if an output of YOLO with these sides has a row per anchor; otherwise it has a row per number.
+fn has_row_per_anchor(first: i64, second: i64, signature: &Signature, size: PictureSize) -> bool {
+    let first_is_cells = is_cells(first, size);
+    let second_is_cells = is_cells(second, size);
+    if first_is_cells != second_is_cells {
+        return first_is_cells;
+    }
+    // As many names as classes leave no doubt, whatever strides the model has.
+    if let Ok(Some(names)) = signature.metadata.class_names() {
+        let numbers = BEFORE_CLASSES + names.len();
+        if count(first) == numbers || count(second) == numbers {
+            return count(first) != numbers;
+        }
+    }
+    // The open side is that of the anchors.
+    first == -1 && !second_is_cells && count(second) > BEFORE_CLASSES
+}
+
+/// A box and a score per class for each anchor, in either direction of the output.
 fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
     let index = with_anchors(signature, size)?;
     let output = signature.outputs.get(index).ok_or("it has no output")?.float()?;
     let [1 | -1, first, second] = *output.shape.as_slice() else {
         return Err("its output has another shape".to_owned());
     };
-    let is_transposed = (is_cells(first, size) && !is_cells(second, size))
-        || (first == -1 && count(second) > BEFORE_CLASSES);
-    if is_transposed {
+    if has_row_per_anchor(first, second, signature, size) {
         let (anchors, classes) = rows_with_classes(&output.shape, BEFORE_CLASSES)?;
         let reader = Dense {
             size,
@@ -223,7 +239,8 @@ fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> 
     }
     let classes = count(first).saturating_sub(BEFORE_CLASSES);
     let have_numbers = (1..=usize::from(u16::MAX)).contains(&classes);
-    if !have_numbers || !(second == -1 || second > 0) {
+    let have_anchors = second == -1 || second > 0;
+    if !have_numbers || !have_anchors {
         return Err("its output has another shape".to_owned());
     }
     Ok(Bound {
@@ -240,18 +257,20 @@ fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> 
 
 fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<String> {
     let index = with_anchors(signature, size).ok()?;
-    let shape = &signature.outputs.get(index)?.shape;
-    let sides = [shape.get(1).copied()?, shape.get(2).copied()?];
+    let [_, first, second] = *signature.outputs.get(index)?.shape.as_slice() else {
+        return None;
+    };
     // As many names as classes leave no doubt, whatever strides the model has.
-    if let Ok(Some(names)) = signature.metadata.class_names()
-        && count(sides[0]) == BEFORE_CLASSES + names.len()
-    {
+    if let Ok(Some(names)) = signature.metadata.class_names() {
+        let numbers = BEFORE_CLASSES + names.len();
+        if count(first) == numbers || count(second) == numbers {
+            return None;
+        }
+    }
+    if [first, second].iter().any(|&side| side == -1 || is_cells(side, size)) {
         return None;
     }
-    if sides.iter().any(|&side| side == -1 || is_cells(side, size)) {
-        return None;
-    }
-    Some(other_anchors(sides[1], size))
+    Some(other_anchors(first.max(second), size))
 }
 
 fn yolov5_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
@@ -273,14 +292,13 @@ fn has_name_of_yolo_nas(output: &TensorSpec) -> bool {
 
 fn end_to_end_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
     match *signature.outputs.first()?.shape.as_slice() {
-        [] | [_] => None,
+        [_, _] => Some(
+            "its output has no dimension for the batch, as exports of other columns do".to_owned(),
+        ),
         [_, rows, _] if rows > MOST_BOXES && !are_anchors(rows, size) => {
             Some(format!("it has {rows} boxes"))
         }
-        [_, _, _] => None,
-        _ => Some(
-            "its output has no dimension for the batch, as exports of other columns do".to_owned(),
-        ),
+        _ => None,
     }
 }
 
@@ -354,7 +372,8 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
     };
     let of_boxes = signature.outputs[boxes].float()?;
     let (anchors, classes) = rows_with_classes(&signature.outputs[scores].float()?.shape, 0)?;
-    if of_boxes.shape.get(1) != Some(&anchors) || !(anchors == -1 || is_cells(anchors, size)) {
+    let is_row_per_cell = anchors == -1 || is_cells(anchors, size);
+    if of_boxes.shape.get(1) != Some(&anchors) || !is_row_per_cell {
         return Err("its outputs do not have a row for each cell".to_owned());
     }
     let reader = Dense {
@@ -370,10 +389,6 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
 }
 
 fn bind_detr(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
-    let [boxes, logits] = detr::RF_DETR;
-    if let (Ok(_), Ok((_, labels))) = (signature.output(boxes), signature.output(logits)) {
-        labels.float()?;
-    }
     detr::bind(
         &[detr::RF_DETR, detr::OTHERS[0], detr::OTHERS[1]],
         signature,
@@ -386,7 +401,7 @@ fn rt_detr_looks_other(signature: &Signature, size: PictureSize) -> Option<Strin
         return Some(RANGE_IS_OPEN.to_owned());
     };
     let queries = output.shape.get(1).copied().unwrap_or_default();
-    // An open number is that of a run if anything else could have it.
+    // An open number is judged later: if several heads remain, by the sizes of a run.
     let are_cells = queries != -1 && are_anchors(queries, size);
     if are_cells || queries > MOST_BOXES {
         return Some(format!(

@@ -277,4 +277,11 @@ fn a_mount_that_can_be_meant_has_no_problems() {
         ..masked(&[LOWER_HALF, LOWER_LEFT])
     };
     assert_eq!(usable.problems(), []);
+    let nearly_all = masked(&[&[[0.0, 0.0], [0.97, 0.0], [0.97, 1.0], [0.0, 1.0]]]);
+    assert_eq!(nearly_all.problems(), []);
+    let smallest = Mount {
+        crop: Some([0.34, 0.0, 0.35, 1.0]),
+        ..Mount::default()
+    };
+    assert_eq!(smallest.problems(), []);
 }

@@ -58,6 +58,8 @@ fn a_model_that_does_not_fit_is_rejected_with_the_first_difference() {
         (Yolox, one(&[1, 3549, 5]), "another shape"),
         (Yolo, one(&[1, 4, 3549]), "another shape"),
         (Yolo, one(&[2, 84, 3549]), "another shape"),
+        // As many columns as cells: what is open are the numbers of a cell.
+        (Yolo, one(&[1, -1, 3549]), "another shape"),
         (Yolo, two, "2 outputs"),
         (Yolo, int8, "int8"),
         (EndToEnd, one(&[1, 300, 7]), "another shape"),
@@ -145,6 +147,12 @@ fn models_are_recognised_by_their_exporters_conventions() {
         (plain(640, "output0", &[-1, 84, -1]), 80, Yolo),
         // The other way round.
         (plain(640, "output0", &[1, 8400, 84]), 80, Yolo),
+        // By other strides, where the names leave no doubt.
+        (
+            model(640, &[("output0", &[1, 9000, 5])], &ultralytics),
+            1,
+            Yolo,
+        ),
         (plain(640, "output0", &[1, 25200, 85]), 80, Yolov5),
         (plain(640, "output", &[-1, 7]), 80, Yolov5),
         (plain(640, "graph2_flat_predictions", &[-1, 7]), 80, YoloNas),
