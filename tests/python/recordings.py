@@ -121,11 +121,16 @@ def write(request):
         channels = {}
         for topic, (name, encoding, of_messages, _) in topics.items():
             schema = writer.register_schema(name=name, encoding=encoding, data=b"{}")
-            channels[topic] = writer.register_channel(topic=topic, message_encoding=of_messages, schema_id=schema)
+            # Two senders on each topic, as when two files are joined.
+            channels[topic] = [writer.register_channel(topic, of_messages, schema) for _ in range(2)]
+        # Nothing keeps a sender of something else from a topic of pictures.
+        schema = writer.register_schema(name=ros + "CameraInfo", encoding="ros2msg", data=b"{}")
+        other = writer.register_channel("/ros/image", "cdr", schema)
         for frame in range(5):
             time = 1_700_000_000_000_000_000 + frame * 50_000_000
             for topic, (_, _, _, data) in topics.items():
-                writer.add_message(channels[topic], log_time=time, publish_time=time, data=data)
+                writer.add_message(channels[topic][frame % 2], log_time=time, publish_time=time, data=data)
+            writer.add_message(other, log_time=time, publish_time=time, data=b"\x00\x01\x00\x00")
         writer.finish()
     return [compression.name.lower() for compression in CompressionType]
 

@@ -25,9 +25,9 @@ pub(crate) struct FrameRecord {
     pub state: FrameState,
     /// True if the detector was needed and failed.
     pub degraded: bool,
-    /// True if the detector ran.
+    /// True if the policy asked for detections.
     pub detector: bool,
-    /// True if the empty-scene screen ran.
+    /// True if the policy asked for the verdict of the empty-scene screen.
     pub screen: bool,
     /// True if a grey picture was examined.
     pub examined: bool,
@@ -71,7 +71,6 @@ pub(crate) fn replay(
     let mut result = Replay {
         frames: Vec::with_capacity(frames),
         boxes: Vec::with_capacity(frames),
-        boxes_last_confidence: (profile == Profile::Reference).then(Vec::new),
         trace: keep_trace.then(Vec::new),
         ..Replay::default()
     };
@@ -80,18 +79,17 @@ pub(crate) fn replay(
         result.frames.push(decided.record);
         objects.clear();
         collect_objects(policy, &mut objects);
-        match &mut result.boxes_last_confidence {
-            None => {
-                let (published, all) =
-                    score_node_boxes(&decided.outcome.boxes, picture, min_confidence);
+        match profile {
+            Profile::Paper => {
+                let boxes = &decided.outcome.boxes;
+                let (published, all) = score_node_boxes(boxes, picture, min_confidence);
                 result.boxes.push(published);
                 result.boxes_all.get_or_insert_default().push(all);
             }
-            Some(last) => {
-                let (decayed, undecayed) =
-                    score_by_published_evaluator(&objects, decided.outcome, picture, decay_u);
-                result.boxes.push(decayed);
-                last.push(undecayed);
+            Profile::Reference => {
+                let undecayed = score_by_published_evaluator(&objects, decided.outcome, picture);
+                result.boxes.push(decayed(&undecayed, &objects, decay_u));
+                result.boxes_last_confidence.get_or_insert_default().push(undecayed);
             }
         }
         if let Some(trace) = &mut result.trace {
@@ -210,26 +208,30 @@ fn decide_frame(
     })
 }
 
-/// Returns the boxes that the published evaluator scores, with decayed and with last confidences: those of all objects,
-/// and those that belong to no object.
+/// Returns the boxes that the published evaluator scores, with the confidence of their last detection: first those of all
+/// objects, then those that belong to no object.
 fn score_by_published_evaluator(
     objects: &[ObjectRecord],
     outcome: &Outcome,
     picture: PictureSize,
-    decay_u: f64,
-) -> (Vec<ScoredBox>, Vec<ScoredBox>) {
+) -> Vec<ScoredBox> {
+    let of_objects = objects.iter().map(|object| score_object(object, picture));
     let free = outcome
         .boxes
         .iter()
         .filter(|output| output.object.is_none())
         .map(|output| score_truncated(output, picture));
-    let undecayed: Vec<ScoredBox> =
-        objects.iter().map(|object| score_object(object, picture)).chain(free).collect();
-    let mut decayed = undecayed.clone();
-    for (scored, object) in decayed.iter_mut().zip(objects) {
+    of_objects.chain(free).collect()
+}
+
+/// The boxes with the confidence that the published evaluator gives them. Those of objects, which come first, lose some with
+/// each frame since the last detection; the others keep theirs.
+fn decayed(undecayed: &[ScoredBox], objects: &[ObjectRecord], decay_u: f64) -> Vec<ScoredBox> {
+    let mut boxes = undecayed.to_vec();
+    for (scored, object) in boxes[..objects.len()].iter_mut().zip(objects) {
         scored.confidence = decayed_confidence(object.confidence, object.tau, decay_u);
     }
-    (decayed, undecayed)
+    boxes
 }
 
 /// Appends the policy's objects in its own order.

@@ -2,7 +2,7 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::{Trial, refused, try_out};
+use super::trial::{Blocks, Trial, refused, try_out};
 use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
@@ -27,7 +27,7 @@ pub struct Proposal {
     pub value: f64,
     /// The empty-scene screen: one that never says "empty", or the recorded one.
     pub screen: ScreenRule,
-    /// True if target and precision are met; otherwise this is the nearest end of the range that was searched.
+    /// True if target and precision are met; otherwise this value comes nearest to the target.
     pub meets_target: bool,
     /// Share of frames without the detector.
     pub skip_rate: Option<Estimate>,
@@ -35,13 +35,13 @@ pub struct Proposal {
     pub recall: Option<Estimate>,
     /// Share of the boxes shown on these frames that the detector confirms.
     pub precision: Option<Estimate>,
-    /// The figures when the value is chosen on every second block of the recording and tried on the others.
+    /// The figures when a value is chosen on each half of the recording's blocks and tried on the other half, both together.
     pub held_out: Option<HeldOut>,
     /// The lines for `node.toml`.
     pub node_toml: String,
 }
 
-/// The figures of a value on frames that it was not chosen on.
+/// The figures of values on frames that they were not chosen on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct HeldOut {
     /// Recall against the detector.
@@ -88,9 +88,13 @@ pub fn advise(
     policy: &str,
     settings: &Settings,
 ) -> Result<Advice, EvalError> {
-    let detections = clips.iter().flat_map(|clip| &clip.detections).flatten();
-    let sure = |found: &&ScoredBox| found.confidence >= settings.confidence;
-    let boxes = detections.flatten().filter(sure).count();
+    let is_sure = |found: &&ScoredBox| found.confidence >= settings.confidence;
+    let mut boxes = 0;
+    for frames in clips.iter().filter_map(|clip| clip.detections.as_ref()) {
+        for found in frames {
+            boxes += found.iter().filter(is_sure).count();
+        }
+    }
     if boxes == 0 {
         return Err(EvalError::new(
             "the recording has no frame, or the detector found nothing in it at this --confidence",
@@ -149,12 +153,12 @@ fn values(policy: &str, spec: &ThresholdSpec) -> Vec<f64> {
         Ok(range) => (range.least, range.most),
         Err(_) => (spec.useful_minimum, spec.useful_maximum),
     };
-    let value = |step: usize| {
-        let value = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
-        let rounded = format!("{value:.1e}").parse().unwrap_or(value);
+    let value_at = |step: usize| {
+        let exact = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
+        let rounded = format!("{exact:.1e}").parse().unwrap_or(exact);
         rounded.clamp(spec.minimum, spec.maximum)
     };
-    let mut values: Vec<f64> = (0..VALUES).map(value).collect();
+    let mut values: Vec<f64> = (0..VALUES).map(value_at).collect();
     values.dedup();
     values
 }
@@ -170,17 +174,16 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Returns the index of the trial that meets the target and skips most; `trials` are in order of rising threshold. For
-    /// a recall, the search stops at the first trial whose recall is too low, so that one lucky value after bad ones is
-    /// not chosen. (Trials that skip too few frames for a narrow interval do not stop it.) For a skip rate, it is the
-    /// first trial that meets it.
-    fn best_trial(&self, trials: &[Trial]) -> Option<usize> {
-        let meets = |trial: &Trial| trial.meets(self.target, self.least_precision);
+    /// Returns the index of the best trial that meets the target; `trials` begin with the one that skips least. For a skip
+    /// rate, it is the first that meets it. For a recall, it is the last before the first whose recall is too low, so that one
+    /// lucky value after bad ones is not chosen. (Trials that skip too few frames for a narrow interval do not stop it.)
+    fn best_trial(&self, trials: &[Blocks]) -> Option<usize> {
+        let meets = |trial: &Blocks| trial.meets(self.target, self.least_precision);
         match self.target {
             Target::SkipRate(_) => trials.iter().position(meets),
             Target::Recall(least) => {
                 let reaches =
-                    |trial: &&Trial| trial.recall().is_none_or(|recall| recall.value >= least);
+                    |trial: &&Blocks| trial.recall().is_none_or(|recall| recall.value >= least);
                 let run = trials.iter().take_while(reaches).count();
                 trials[..run].iter().rposition(meets)
             }
@@ -188,47 +191,51 @@ impl Search<'_> {
     }
 
     fn propose(&self) -> Result<Proposal, EvalError> {
-        let trials = values(&self.config.name, &self.spec)
+        let mut trials = values(&self.config.name, &self.spec)
             .into_par_iter()
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
-        let best = self.best_trial(&trials);
-        // If no trial meets the target, propose the end of the range that comes nearest.
+        let skip_rate = |trial: &Trial| trial.blocks.skip_rate().map_or(0.0, |rate| rate.value);
+        // Of some policies (`ctd`) a lower threshold skips more.
+        if skip_rate(&trials[0]) > skip_rate(&trials[trials.len() - 1]) {
+            trials.reverse();
+        }
+        let whole = trials.iter().map(|trial| trial.blocks.clone()).collect::<Vec<_>>();
+        let best = self.best_trial(&whole);
+        // If no trial meets the target, propose the one that comes nearest.
         let nearest = match self.target {
             Target::Recall(_) => 0,
-            Target::SkipRate(_) => trials.len() - 1,
+            Target::SkipRate(least) => {
+                let enough = trials.iter().position(|trial| skip_rate(trial) >= least);
+                enough.unwrap_or(trials.len() - 1)
+            }
         };
-        let chosen = &trials[best.unwrap_or(nearest)];
+        let Trial { value, blocks } = &trials[best.unwrap_or(nearest)];
         Ok(Proposal {
             policy: self.config.name.clone(),
             threshold: self.spec.name,
-            value: chosen.value,
+            value: *value,
             screen: self.screen,
             meets_target: best.is_some(),
-            skip_rate: chosen.skip_rate(),
-            recall: chosen.recall(),
-            precision: chosen.precision(),
-            held_out: self.held_out(&trials),
-            node_toml: self.node_toml(chosen.value),
+            skip_rate: blocks.skip_rate(),
+            recall: blocks.recall(),
+            precision: blocks.precision(),
+            held_out: self.held_out(&whole),
+            node_toml: self.node_toml(*value),
         })
     }
 
     /// Chooses a value on each half of the blocks and tries it on the other half.
-    fn held_out(&self, trials: &[Trial]) -> Option<HeldOut> {
-        let mut joined: Option<Trial> = None;
+    fn held_out(&self, trials: &[Blocks]) -> Option<HeldOut> {
+        let mut unseen = Blocks::default();
         for parity in [0, 1] {
             let seen: Vec<_> = trials.iter().map(|trial| trial.half(parity)).collect();
             let chosen = self.best_trial(&seen)?;
-            let unseen = trials[chosen].half(1 - parity);
-            match &mut joined {
-                Some(joined) => joined.blocks.extend(unseen.blocks),
-                None => joined = Some(unseen),
-            }
+            unseen.extend(trials[chosen].half(1 - parity));
         }
-        let joined = joined?;
         Some(HeldOut {
-            recall: joined.recall(),
-            skip_rate: joined.skip_rate(),
+            recall: unseen.recall(),
+            skip_rate: unseen.skip_rate(),
         })
     }
 

@@ -65,7 +65,7 @@ pub fn render(advice: &Advice, width: usize) -> String {
     text.push_str(&fitted(&columns, "  ", width));
     if advice.proposals.iter().any(|found| !found.meets_target) {
         text.push_str(
-            "-: cannot meet the target inside the threshold's range; the nearest end of it\n",
+            "-: does not meet target and precision; the value in the threshold's range that comes nearest\n",
         );
     }
     text.push('\n');

@@ -47,26 +47,26 @@ impl Block {
 pub(super) struct Trial {
     /// The value of the threshold.
     pub value: f64,
-    pub blocks: Vec<Block>,
+    pub blocks: Blocks,
 }
 
-impl Trial {
-    /// Returns the trial with only the blocks whose index is `parity` modulo 2.
+/// The counts of a recording or of a part of it, block by block.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Blocks(Vec<Block>);
+
+impl Blocks {
+    /// Every second block: those whose index is `parity` modulo 2.
     pub(super) fn half(&self, parity: usize) -> Self {
-        Self {
-            blocks: self
-                .blocks
-                .iter()
-                .enumerate()
-                .filter(|(index, _)| index % 2 == parity)
-                .map(|(_, block)| *block)
-                .collect(),
-            value: self.value,
-        }
+        Self(self.0.iter().skip(parity).step_by(2).copied().collect())
+    }
+
+    /// Adds the blocks of another part.
+    pub(super) fn extend(&mut self, other: Self) {
+        self.0.extend(other.0);
     }
 
     fn ratio(&self, part: fn(&Block) -> [f64; 2]) -> Option<Estimate> {
-        Estimate::ratio(self.blocks.iter().map(part))
+        Estimate::ratio(self.0.iter().map(part))
     }
 
     /// Share of the detector's boxes on skipped frames that were shown; `None` where it has none.
@@ -79,11 +79,12 @@ impl Trial {
         self.ratio(|block| [block.paired as f64, block.shown as f64])
     }
 
+    /// Share of frames without the detector.
     pub(super) fn skip_rate(&self) -> Option<Estimate> {
         self.ratio(|block| [block.skipped.into(), block.frames.into()])
     }
 
-    /// True if this meets `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
+    /// True if they meet `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
     pub(super) fn meets(&self, target: Target, least_precision: f64) -> bool {
         // If nothing was shown on the skipped frames, nothing was wrong.
         let is_precise = self.precision().is_none_or(|precision| precision.low >= least_precision);
@@ -131,5 +132,8 @@ pub(super) fn try_out(
         }
         blocks.extend(own);
     }
-    Ok(Trial { value, blocks })
+    Ok(Trial {
+        value,
+        blocks: Blocks(blocks),
+    })
 }

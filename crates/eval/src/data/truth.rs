@@ -147,14 +147,22 @@ impl GroundTruth {
         rules: Rules,
         classes: &Evaluated,
     ) -> Result<Self, EvalError> {
-        let mut clips = BTreeMap::new();
-        let mut files = Vec::new();
+        let mut clips: BTreeMap<String, ClipTruth> = BTreeMap::new();
+        let mut files: Vec<TruthFile> = Vec::new();
         for path in paths {
             let own_rate = None;
             let data = read(path, format, rules, classes)?.judged_by(rules, own_rate);
             for clip in data.clips {
+                let name = clip.name.clone();
+                if let Some(other) = clips.get(&name) {
+                    return Err(EvalError::new(format!(
+                        "{} and {} are both ground truth of the clip `{name}`: leave one of them out, or rename it",
+                        files[other.file].path.display(),
+                        path.display()
+                    )));
+                }
                 let file = files.len();
-                clips.entry(clip.name.clone()).or_insert(ClipTruth { file, clip });
+                clips.insert(name, ClipTruth { file, clip });
             }
             files.push(TruthFile {
                 path: path.clone(),

@@ -2,7 +2,9 @@
 
 use super::source::{clip_name, folder_name, plain_name, unused_name};
 use crate::error::EvalError;
-use albireo_vision::picture::{EncodedPicture, FrameLimits, is_picture_file, picture_of_file};
+use albireo_vision::picture::{
+    EncodedPicture, FrameLimits, is_picture_file, natural_key, picture_of_file,
+};
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -20,14 +22,17 @@ struct Archive {
 #[derive(Clone, Debug)]
 pub(super) struct ArchivedPicture {
     archive: Arc<Archive>,
+    /// Its path in the archive.
+    inside: PathBuf,
     offset: u64,
     length: usize,
 }
 
 impl ArchivedPicture {
-    /// Names the picture by its number in the sequence that is read, from 1.
-    pub(super) fn name(&self, number: usize) -> String {
-        format!("{}, picture {number}", self.archive.path.display())
+    /// The archive, and the picture's path in it.
+    pub(super) fn name(&self) -> String {
+        let archive = self.archive.path.display();
+        format!("{archive}: {}", self.inside.display())
     }
 
     /// The bytes of the encoded picture.
@@ -35,23 +40,22 @@ impl ArchivedPicture {
         self.length as u64
     }
 
-    /// Reads the picture, which is the one of this number.
-    pub(super) fn read(&self, number: usize) -> Result<EncodedPicture, EvalError> {
-        let named = |fault: &dyn std::fmt::Display| {
-            EvalError::new(format!("{}: {fault}", self.name(number)))
-        };
+    /// Reads the picture.
+    pub(super) fn read(&self) -> Result<EncodedPicture, EvalError> {
+        let named =
+            |fault: &dyn std::fmt::Display| EvalError::new(format!("{}: {fault}", self.name()));
         let mut bytes = vec![0; self.length];
         let file = &self.archive.file;
         file.read_exact_at(&mut bytes, self.offset).map_err(|error| named(&error))?;
         picture_of_file(bytes.into(), &FrameLimits::default())
-            .map_err(|fault| named(&format!("a frame cannot be sent: {fault}")))
+            .map_err(|fault| named(&format!("not a picture that can be sent: {fault}")))
     }
 }
 
 /// A clip of an archive.
 pub(super) struct ArchivedClip {
     pub name: String,
-    /// In their order in the archive.
+    /// In natural order, like those of a folder: tar stores files as the disk lists them, which is any order.
     pub pictures: Vec<ArchivedPicture>,
 }
 
@@ -73,7 +77,8 @@ pub(super) fn archived_clips(path: &Path) -> Result<Vec<ArchivedClip>, EvalError
     let names = clip_names(&folders, &clip_name(path));
     let mut clips = Vec::new();
     for (name, folder) in names.into_iter().zip(folders) {
-        let pictures = folder.pictures;
+        let mut pictures = folder.pictures;
+        pictures.sort_by_cached_key(|picture| natural_key(&picture.inside));
         clips.push(ArchivedClip { name, pictures });
     }
     Ok(clips)
@@ -111,6 +116,7 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
         }
         folders[place].pictures.push(ArchivedPicture {
             archive: Arc::clone(&archive),
+            inside: inside.to_path_buf(),
             offset: member.raw_file_position(),
             length,
         });

@@ -81,15 +81,12 @@ impl FrameSource for Downsampled<'_> {
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         loop {
             let next = self.source.next();
-            let is_end = match &next {
-                Ok(picture) => picture.is_none(),
-                // One of several files; otherwise nothing comes after it.
-                Err(_) => self.source.picture_name().is_none(),
-            };
             let index = self.passed;
             self.passed += 1;
-            if is_end || self.selection.takes(index) {
-                return next;
+            match &next {
+                Ok(Some(_)) if !self.selection.takes(index) => {}
+                // What cannot be read is told even where a frame would be left out: it may be a whole file.
+                _ => return next,
             }
         }
     }
@@ -110,6 +107,11 @@ mod tests {
     use crate::footage::Pictures;
     use std::path::Path;
 
+    fn road() -> Pictures {
+        let road = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
+        Pictures::of_archive(Path::new(road), 10.0).unwrap()
+    }
+
     fn taken(kept: FrameSelection, frames: u64) -> Vec<u64> {
         (0..frames).filter(|index| kept.takes(*index)).collect()
     }
@@ -118,13 +120,8 @@ mod tests {
     fn frames_are_selected_as_evenly_as_possible() {
         assert_eq!(taken(FrameSelection::new(25.0, 5.0), 20), [0, 5, 10, 15]);
         assert_eq!(taken(FrameSelection::new(25.0, 10.0), 11), [0, 3, 5, 8, 10]);
-        assert_eq!(taken(FrameSelection::new(12.5, 25.0), 3), [0, 1, 2]);
-        let broadcast = FrameSelection::new(30_000.0 / 1001.0, 5.0);
-        assert_eq!(taken(broadcast, 300).len(), 50);
         for wanted in [1.0, 3.0, 7.0, 24.9] {
             let frames = taken(FrameSelection::new(25.0, wanted), 2500);
-            let count = frames.len() as f64;
-            assert!((count - 100.0 * wanted).abs() <= 1.0, "{wanted}: {count}");
             let gaps: Vec<_> = frames.windows(2).map(|pair| pair[1] - pair[0]).collect();
             let least = gaps.iter().min().unwrap();
             let most = gaps.iter().max().unwrap();
@@ -133,19 +130,58 @@ mod tests {
     }
 
     #[test]
-    fn a_downsampled_source_gives_evenly_spaced_pictures() {
-        let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
-        let mut source = Pictures::of_archive(road, 10.0).unwrap();
+    fn as_many_frames_are_kept_as_the_rates_say() {
+        let broadcast = FrameSelection::new(30_000.0 / 1001.0, 5.0);
+        assert_eq!(taken(broadcast, 300).len(), 50);
+        for wanted in [1.0, 3.0, 7.0, 24.9] {
+            let count = taken(FrameSelection::new(25.0, wanted), 2500).len() as f64;
+            assert!((count - 100.0 * wanted).abs() <= 1.0, "{wanted}: {count}");
+        }
+    }
+
+    #[test]
+    fn a_slower_source_keeps_all_its_frames() {
+        assert_eq!(taken(FrameSelection::new(12.5, 25.0), 3), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_downsampled_source_gives_evenly_spaced_pictures_at_the_lower_rate() {
+        let mut source = road();
         let pictures: Vec<_> = (0..5).map(|_| source.next().unwrap().unwrap()).collect();
         source.rewind().unwrap();
         let mut downsampled = Downsampled::new(&mut source, 5.0);
         assert_eq!(downsampled.rate(), 5.0);
-        for _ in 0..2 {
-            for index in [0, 2, 4] {
-                let picture = downsampled.next().unwrap().unwrap();
-                assert_eq!(picture.bytes, pictures[index].bytes, "{index}");
-            }
-            downsampled.rewind().unwrap();
+        for index in [0, 2, 4] {
+            let picture = downsampled.next().unwrap().unwrap();
+            assert_eq!(picture.bytes, pictures[index].bytes, "{index}");
         }
+    }
+
+    #[test]
+    fn a_downsampled_source_that_is_rewound_begins_with_its_first_picture() {
+        let mut source = road();
+        let mut downsampled = Downsampled::new(&mut source, 3.0);
+        let first = downsampled.next().unwrap().unwrap();
+        let second = downsampled.next().unwrap().unwrap();
+        downsampled.rewind().unwrap();
+        assert_eq!(downsampled.next().unwrap().unwrap().bytes, first.bytes);
+        assert_eq!(downsampled.next().unwrap().unwrap().bytes, second.bytes);
+    }
+
+    #[test]
+    fn a_picture_that_cannot_be_read_is_told_wherever_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let picture = road().next().unwrap().unwrap();
+        for name in ["1.jpg", "2.jpg", "3.jpg"] {
+            std::fs::write(folder.path().join(name), &picture.bytes).unwrap();
+        }
+        std::fs::write(folder.path().join("2.jpg"), "not a picture").unwrap();
+        let mut source = Pictures::of_folder(folder.path(), 10.0).unwrap();
+        let mut downsampled = Downsampled::new(&mut source, 5.0);
+        assert!(downsampled.next().unwrap().is_some());
+        let fault = downsampled.next().unwrap_err().to_string();
+        assert!(fault.contains("2.jpg"), "{fault}");
+        assert!(downsampled.next().unwrap().is_some());
+        assert!(downsampled.next().unwrap().is_none());
     }
 }

@@ -67,8 +67,8 @@ impl Pictures {
         Ok(Self::new(clip_name(path), pictures.collect(), rate))
     }
 
-    /// Reads the JPEG and PNG files of a tar archive, one folder after the other; each is a clip, with its pictures in their
-    /// order in the archive.
+    /// Reads the JPEG and PNG files of a tar archive, one folder after the other; each is a clip, with its pictures in natural
+    /// order.
     ///
     /// # Errors
     /// When the archive cannot be read or has no pictures.
@@ -112,7 +112,7 @@ impl FrameSource for Pictures {
         let last = self.pictures.get(self.passed.checked_sub(1)?)?;
         let name = match &last.location {
             Location::File(file) => file.display().to_string(),
-            Location::Archive(picture) => picture.name(self.passed),
+            Location::Archive(picture) => picture.name(),
             Location::Memory(_) => format!("{}, picture {}", self.name, self.passed),
         };
         Some(name)
@@ -145,7 +145,7 @@ impl FrameSource for Pictures {
         self.passed += 1;
         let picture = match &member.location {
             Location::File(file) => read_picture_file(file)?,
-            Location::Archive(picture) => picture.read(self.passed)?,
+            Location::Archive(picture) => picture.read()?,
             Location::Memory(picture) => picture.clone(),
         };
         Ok(Some(picture))
@@ -254,6 +254,22 @@ mod tests {
     }
 
     #[test]
+    fn pictures_of_an_archive_are_in_natural_order_and_hidden_files_are_none() {
+        // As a disk lists them, and with what a Mac adds for each file.
+        let file = archive(&[
+            ("drive/10.jpg", jpeg(24)),
+            ("drive/._2.jpg", b"not a picture".to_vec()),
+            ("drive/9.jpg", jpeg(16)),
+            ("drive/2.jpg", jpeg(8)),
+        ]);
+        let mut all = Pictures::of_archive(file.path(), 5.0).unwrap();
+        for side in [8, 16, 24] {
+            assert_eq!(all.next().unwrap().unwrap().size.width, side);
+        }
+        assert!(all.next().unwrap().is_none());
+    }
+
+    #[test]
     fn no_two_clips_of_an_archive_have_the_same_name() {
         let long = "x".repeat(99);
         let [left, right] = ["left", "right"].map(|side| format!("{long}/{side}/images/1.jpg"));
@@ -312,7 +328,7 @@ mod tests {
         let half = 512 + jpeg(8).len() as u64 / 2;
         torn.as_file().set_len(half).unwrap();
         assert!(
-            fault(&torn).starts_with(", picture 1: "),
+            fault(&torn).starts_with(": busy/1.jpg: "),
             "{}",
             fault(&torn)
         );
@@ -321,7 +337,7 @@ mod tests {
     #[test]
     fn a_member_that_is_no_picture_is_rejected_by_name() {
         let wrong = archive(&[("busy/1.jpg", b"not a JPEG".to_vec())]);
-        let expected = ", picture 1: a frame cannot be sent: ";
+        let expected = ": busy/1.jpg: not a picture that can be sent: ";
         assert!(fault(&wrong).starts_with(expected), "{}", fault(&wrong));
     }
 }

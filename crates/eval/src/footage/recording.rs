@@ -5,11 +5,12 @@ use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name, plain_name};
 use crate::error::EvalError;
 use albireo_recording::{
-    Channel, Messages, Overview, PictureKind, RecordingError, Topic, picture_in_json,
+    Channel, Message, Messages, Overview, PictureKind, RecordingError, Topic, picture_in_json,
     picture_in_protobuf,
 };
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, ros2};
 use bytes::Bytes;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The kinds of pictures that are read, for errors.
@@ -52,17 +53,21 @@ impl Contents {
         let overview = Overview::read(path).map_err(|error| {
             EvalError::content(path, format!("it cannot be read as an MCAP file: {error}"))
         })?;
+        // A topic may have several channels: each of its senders has one, and so has each of the files that were joined.
+        let mut pictures: BTreeMap<&str, u64> = BTreeMap::new();
+        for (channel, count) in &overview.channels {
+            if *count > 0 && PictureKind::of(channel).is_some() {
+                *pictures.entry(&channel.topic).or_default() += count;
+            }
+        }
         let mut topics = Vec::new();
         let mut audited = Vec::new();
-        for (channel, count) in &overview.channels {
-            if *count == 0 || PictureKind::of(channel).is_none() {
-                continue;
-            }
+        for (name, pictures) in pictures {
             let topic = PictureTopic {
-                name: channel.topic.clone(),
-                pictures: *count,
+                name: name.to_owned(),
+                pictures,
             };
-            match Topic::parse(&topic.name) {
+            match Topic::parse(name) {
                 Some((_, Topic::AuditImage)) => audited.push(topic),
                 _ => topics.push(topic),
             }
@@ -147,7 +152,7 @@ impl Recording {
             );
         }
         let times: Vec<u64> = opened(path)?
-            .filter(|message| message.channel.topic == found.name)
+            .filter(|message| has_picture_of(&found.name, message))
             .map(|message| message.time_ns)
             .take(TIMED)
             .collect();
@@ -194,6 +199,11 @@ impl Recording {
     }
 }
 
+/// True if the message is a picture on this topic.
+fn has_picture_of(topic: &str, message: &Message) -> bool {
+    message.channel.topic == topic && PictureKind::of(&message.channel).is_some()
+}
+
 fn opened(path: &Path) -> Result<Messages, EvalError> {
     Messages::open(path).map_err(|error| EvalError::content(path, error))
 }
@@ -220,7 +230,7 @@ impl FrameSource for Recording {
             return Ok(None);
         }
         while let Some(message) = self.messages.next() {
-            if message.channel.topic == self.topic {
+            if has_picture_of(&self.topic, &message) {
                 self.number += 1;
                 return self.read(&message.channel, &message.data).map(Some);
             }

@@ -87,6 +87,39 @@ fn a_skip_rate_is_met_and_not_exceeded() {
 }
 
 #[test]
+fn a_policy_whose_lower_threshold_skips_more_is_advised_like_the_others() {
+    for (target, asked) in [("skip_rate=0.2", 0.2), ("skip_rate=0.4", 0.4)] {
+        let advice = advice("ctd", target);
+        let best = advice.best().expect("it can be met");
+        let skipped = best.skip_rate.unwrap().value;
+        let range = asked..asked + 0.15;
+        assert!(range.contains(&skipped), "{target}: {best:?}");
+    }
+    let careful = advice("ctd", "recall=0.999");
+    let bold = advice("ctd", "recall=0.5");
+    let [careful, bold] = [careful, bold].map(|advice| advice.proposals[0].value);
+    assert!(careful > bold, "{careful} and {bold}");
+}
+
+#[test]
+fn a_skip_rate_without_the_precision_is_answered_with_the_value_that_reaches_it() {
+    let target = "skip_rate=0.5".parse().unwrap();
+    let out_of_reach = 0.9999;
+    let policy = "even-skip-in-tracker";
+    let advice = advise(
+        &recordings(),
+        target,
+        out_of_reach,
+        policy,
+        &Settings::default(),
+    )
+    .unwrap();
+    assert!(advice.best().is_none());
+    let skipped = advice.proposals[0].skip_rate.unwrap().value;
+    assert!((0.5..0.58).contains(&skipped), "{skipped}");
+}
+
+#[test]
 fn a_recorded_screen_is_tried_as_well_as_none() {
     let mut clips = recordings();
     assert_eq!(advice("albireo", "skip_rate=0.1").proposals.len(), 1);

@@ -330,3 +330,19 @@ fn a_model_without_the_classes_of_one_s_own_labels_is_told_both() {
     assert!(refused.contains("antelope"), "{refused}");
     assert!(refused.contains("helmet"), "{refused}");
 }
+
+#[test]
+fn two_files_of_ground_truth_for_one_clip_are_refused_by_name() {
+    let objects = imagenet_vid(&[("n02121808", 10)]);
+    let files = folder(&[
+        ("day/a/000000.xml", &objects),
+        ("night/a/000000.xml", &objects),
+    ]);
+    let paths = ["day", "night"].map(|name| files.path().join(name));
+    let refused = GroundTruth::read(&paths, TruthFormat::ImageNetVid, Rules::Benchmark)
+        .unwrap_err()
+        .to_string();
+    for part in ["day", "night", "clip `a`"] {
+        assert!(refused.contains(part), "{refused}");
+    }
+}
