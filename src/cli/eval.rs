@@ -198,7 +198,8 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
         }
         data.clips = data.clips.into_iter().map(|clip| clip.thinned(rate)).collect();
     }
-    let policies = policies(arguments, false)?;
+    let has_pixels = false;
+    let policies = policies(arguments, has_pixels)?;
     let settings = settings(arguments)?;
     for line in data.report.lines() {
         eprintln!("{line}");
@@ -273,7 +274,7 @@ fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
     streams
 }
 
-fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
+fn policies(arguments: &RunArguments, has_pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
     let base = PolicyConfig {
         profile: arguments.settings.profile,
         u: arguments.u,
@@ -284,7 +285,7 @@ fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<Policy
         &arguments.sweep,
         &base,
         arguments.settings.screen,
-        pixels,
+        has_pixels,
     )?)
 }
 

@@ -3,6 +3,7 @@
 mod sender;
 mod session;
 
+pub(crate) use sender::Receivers;
 #[cfg(feature = "eval")]
 pub(crate) use sender::TURN;
 pub use sender::{FrameSender, OutgoingFrame, Pacing};

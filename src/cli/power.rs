@@ -1,6 +1,6 @@
 //! `albireo power`: lists the power sources that work on this machine, with their rails and current watts.
 
-use super::terminal::{hanging, line_width};
+use super::terminal::{broken, line_width};
 use albireo_power::{SourceSurvey, survey};
 use albireo_wire::EnergyQuality;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Opens every source in turn and reads it for a second. The source marked * is
-the one that `source = \"auto\"` selects. It says what its watts include: the
+the one that `source = \"auto\"` selects. Each says what its watts include: the
 whole machine, or the parts that are added up; `partial` means that a part that
 consumes much is left out. The watts of `estimate` come from a model; all others
 are measured.
@@ -39,17 +39,17 @@ pub(super) fn run(arguments: &PowerArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The column in which the rails begin, and what is broken because it is longer than the line goes on.
+/// The column in which the rails begin. A row that is too long for its line goes on in it.
 const RAILS: usize = 33;
 
-/// Formats the sources as a table, each with the rails of a source that works below it, in lines of `width` characters.
+/// Formats the sources as a table, in lines of at most `width` characters. Below each source that works are its rails.
 fn table(found: &[SourceSurvey], width: usize) -> String {
     let mut text = String::new();
     let mut line = |cells: [&str; 4]| {
         let [source, usable, watts, what] = cells;
         let row = format!("{source:<13} {usable:<7} {watts:>9}  {what}");
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "{}", hanging(row.trim_end(), width, RAILS));
+        let _ = writeln!(text, "{}", broken(row.trim_end(), width, RAILS));
     };
     line(["source", "usable", "watts", "rails, or why not"]);
     for source in found {
@@ -57,21 +57,17 @@ fn table(found: &[SourceSurvey], width: usize) -> String {
         let name = format!("{}{mark}", source.source);
         if let Some(why_not) = &source.why_not {
             let prefix = format!("{}: ", source.source);
-            let why_not = why_not.strip_prefix(&prefix).unwrap_or(why_not);
-            line([&name, "no", "", why_not]);
+            let reason = why_not.strip_prefix(&prefix).unwrap_or(why_not);
+            line([&name, "no", "", reason]);
             continue;
         }
-        let total = source.watts.iter().find(|(domain, _)| *domain == "total");
+        let row_of_total = source.watts.iter().find(|(domain, _)| *domain == "total");
+        let total = row_of_total.map(|(_, watts)| *watts);
         let cost = source.share_of_core.map_or_else(String::new, |share| {
             format!("; reading it takes {:.2} % of one core", share * 100.0)
         });
         let summary = format!("{}{cost}", scope(source));
-        line([
-            &name,
-            "yes",
-            &watts(total.map(|(_, watts)| *watts)),
-            &summary,
-        ]);
+        line([&name, "yes", &in_watts(total), &summary]);
         for rail in &source.rails {
             let mut what = rail.name.clone();
             let mut notes = Vec::new();
@@ -84,7 +80,7 @@ fn table(found: &[SourceSurvey], width: usize) -> String {
             if !notes.is_empty() {
                 what.push_str(&format!(" ({})", notes.join(", ")));
             }
-            line(["", "", &watts(rail.watts), &what]);
+            line(["", "", &in_watts(rail.watts), &what]);
         }
     }
     text
@@ -92,14 +88,17 @@ fn table(found: &[SourceSurvey], width: usize) -> String {
 
 /// What the total includes, in words.
 fn scope(source: &SourceSurvey) -> String {
-    match (source.quality, source.total_from.as_str()) {
-        (_, "input_rail") => "whole machine".to_owned(),
-        (EnergyQuality::Partial, parts) => format!("partial: {parts}"),
-        (_, parts) => parts.to_owned(),
+    let parts = &source.total_from;
+    if parts == "input_rail" {
+        return "whole machine".to_owned();
+    }
+    match source.quality {
+        EnergyQuality::Partial => format!("partial: {parts}"),
+        _ => parts.clone(),
     }
 }
 
-fn watts(watts: Option<f64>) -> String {
+fn in_watts(watts: Option<f64>) -> String {
     watts.map_or_else(|| "-".to_owned(), |watts| format!("{watts:.2} W"))
 }
 
@@ -123,19 +122,29 @@ mod tests {
 
     /// A source with rails, one of parts, and one that does not work here.
     fn sources() -> [SourceSurvey; 3] {
-        let rail = |name: &str, watts, domain, in_total| RailNow {
+        let rail = |name: &str| RailNow {
             name: name.to_owned(),
-            watts,
-            domain,
-            in_total,
+            watts: None,
+            domain: None,
+            in_total: false,
+        };
+        let input = RailNow {
+            watts: Some(19.78),
+            in_total: true,
+            ..rail("VIN")
+        };
+        let gpu = RailNow {
+            watts: Some(1.962),
+            domain: Some("gpu"),
+            ..rail("VDD_GPU")
+        };
+        let cpu = RailNow {
+            domain: Some("cpu"),
+            ..rail("VDD_CPU_SOC_MSS")
         };
         let ina = SourceSurvey {
             automatic: true,
-            rails: vec![
-                rail("VIN", Some(19.78), None, true),
-                rail("VDD_GPU", Some(1.962), Some("gpu"), false),
-                rail("VDD_CPU_SOC_MSS", None, Some("cpu"), false),
-            ],
+            rails: vec![input, gpu, cpu],
             ..source("ina")
         };
         let parts = SourceSurvey {
@@ -156,13 +165,16 @@ mod tests {
     }
 
     #[test]
-    fn on_a_narrow_terminal_a_reason_goes_on_below_its_column() {
-        let narrow = table(&sources(), 60);
-        assert!(
-            narrow.lines().all(|line| line.chars().count() <= 60),
-            "{narrow}"
-        );
-        let below = format!("\n{}counter\n", " ".repeat(RAILS));
-        assert!(narrow.contains(&below), "{narrow}");
+    fn on_a_narrow_terminal_a_row_goes_on_in_the_column_of_the_rails() {
+        let [mut ina, ..] = sources();
+        ina.rails[2].in_total = true;
+        let of_rails = table(&[ina], 60);
+        let of_reasons = table(&sources(), 60);
+        for (narrow, goes_on) in [(of_rails, "cpu)"), (of_reasons, "counter")] {
+            let below = format!("\n{}{goes_on}\n", " ".repeat(RAILS));
+            assert!(narrow.contains(&below), "{narrow}");
+            let widest = narrow.lines().map(|line| line.chars().count()).max();
+            assert!(widest <= Some(60), "{narrow}");
+        }
     }
 }

@@ -1,6 +1,8 @@
 //! `albireo publish`: sends a live camera's frames to a node on another machine.
 
-use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
+use super::frames::{
+    FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, Receivers, close, open_session,
+};
 use super::values::counted;
 use albireo_node::input::source::{
     LiveSource, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourcePicture,
@@ -142,7 +144,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     let sent = counted(sent.load(Ordering::Relaxed), "frame", "frames");
     println!("sent {sent} on {key}");
     ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
-    if receivers.borrow().is_none() {
+    if *receivers.borrow() == Receivers::NeverSeen {
         bail!("no node subscribed to `{key}`: {NOBODY}");
     }
     Ok(())
@@ -169,9 +171,9 @@ async fn connected(target: &FrameTarget) -> Session {
 }
 
 /// Logs whether a node subscribes to the frames, now and at every change.
-async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String) {
+async fn log_receivers(mut receivers: watch::Receiver<Receivers>, key: String) {
     loop {
-        if *receivers.borrow_and_update() == Some(true) {
+        if *receivers.borrow_and_update() == Receivers::Present {
             tracing::info!(key, "a node subscribes to the frames");
         } else {
             tracing::warn!(

@@ -5,7 +5,9 @@ mod publish;
 pub(super) use publish::UNPACED;
 pub use publish::{PublishOptions, Sent, publish};
 
-use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, TURN, close, open_session};
+use super::frames::{
+    FrameSender, FrameTarget, NOBODY, Pacing, Receivers, TURN, close, open_session,
+};
 use super::progress;
 use super::terminal::{self, program};
 use super::values::counted;
@@ -91,7 +93,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let bar = progress::bar(total, "frames  {msg}");
     let mut lost = 0;
     let after_each = |sent: &Sent| {
-        if !arguments.every && *receivers.borrow() != Some(true) {
+        if !arguments.every && *receivers.borrow() != Receivers::Present {
             lost += 1;
         }
         bar.set_position(sent.frames);
@@ -107,7 +109,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     close(session).await?;
     let sent = Sent { lost, ..ended? };
     println!("{}", summary(&sent, &key));
-    if sent.frames > 0 && receivers.borrow().is_none() {
+    if sent.frames > 0 && *receivers.borrow() == Receivers::NeverSeen {
         bail!("no node subscribed to `{key}`: {NOBODY}");
     }
     Ok(sent)
@@ -168,7 +170,7 @@ async fn open(
 
 /// Says when the last node that took frames stops to, and when one takes them again.
 async fn tell_of_receivers(
-    mut receivers: watch::Receiver<Option<bool>>,
+    mut receivers: watch::Receiver<Receivers>,
     key: &str,
     every: bool,
     bar: &ProgressBar,
@@ -176,7 +178,7 @@ async fn tell_of_receivers(
     let mut had_left = false;
     while receivers.changed().await.is_ok() {
         let said = match *receivers.borrow_and_update() {
-            Some(false) => {
+            Receivers::Gone => {
                 had_left = true;
                 // The limit counts from now.
                 let meanwhile = if every {
@@ -186,8 +188,10 @@ async fn tell_of_receivers(
                 };
                 format!("albireo: no node subscribes to `{key}` any more, so {meanwhile}")
             }
-            Some(true) if had_left => format!("albireo: a node subscribes to `{key}` again"),
-            _ => continue,
+            Receivers::Present if had_left => {
+                format!("albireo: a node subscribes to `{key}` again")
+            }
+            Receivers::Present | Receivers::NeverSeen => continue,
         };
         bar.suspend(|| eprintln!("{}", terminal::error(&said)));
     }

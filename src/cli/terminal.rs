@@ -29,18 +29,24 @@ pub(super) fn line_width() -> usize {
 }
 
 /// Breaks each line of `text` that is longer than `width` at spaces; what follows is indented by `indent` spaces more than
-/// the line itself. A longer word, such as a path, stays whole.
-pub(super) fn hanging(text: &str, width: usize, indent: usize) -> String {
+/// the line itself.
+fn hanging(text: &str, width: usize, indent: usize) -> String {
     let fit = |line: &str| {
         let own = line.len() - line.trim_start_matches(' ').len();
-        let below = " ".repeat(own + indent);
-        let options = Options::new(width)
-            .subsequent_indent(&below)
-            .break_words(false)
-            .word_splitter(WordSplitter::NoHyphenation);
-        textwrap::fill(line, options)
+        broken(line, width, own + indent)
     };
     text.lines().map(fit).collect::<Vec<_>>().join("\n")
+}
+
+/// Breaks a line that is longer than `width` at spaces; what follows begins in this column. A longer word, such as a path,
+/// stays whole.
+pub(super) fn broken(line: &str, width: usize, column: usize) -> String {
+    let below = " ".repeat(column);
+    let options = Options::new(width)
+        .subsequent_indent(&below)
+        .break_words(false)
+        .word_splitter(WordSplitter::NoHyphenation);
+    textwrap::fill(line, options)
 }
 
 /// The program's name as it was called, so that a printed command works where the program is not on the PATH.

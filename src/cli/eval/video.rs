@@ -91,7 +91,8 @@ pub(super) struct PassArguments {
 pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     let arguments = with_screen(video)?;
     let names = clip_names(&video.clips)?;
-    let policies = policies(&arguments, true)?;
+    let has_pixels = true;
+    let policies = policies(&arguments, has_pixels)?;
     let settings = settings(&arguments)?;
     ensure!(
         video.ground_truth.is_empty() || arguments.fps.is_none(),
@@ -134,8 +135,8 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
                         "--fps {fps}: pictures do not say how many of them are a second: add --rate"
                     );
                     let mut slower = Downsampled::new(source.as_mut(), fps);
-                    let rate = Some(slower.rate());
-                    evaluation.add(&mut slower, rate)?;
+                    let lower_rate = slower.rate();
+                    evaluation.add(&mut slower, Some(lower_rate))?;
                 }
             }
         }
@@ -200,8 +201,12 @@ pub(super) fn clip_names(clips: &[SourceName]) -> anyhow::Result<Vec<String>> {
         names.extend(clip.clip_names()?);
     }
     let mut seen = HashSet::new();
-    if let Some(name) = names.iter().find(|name| !seen.insert(*name)) {
-        bail!("two clips are named `{name}`: rename one of the files");
+    for name in &names {
+        let is_new = seen.insert(name);
+        ensure!(
+            is_new,
+            "two clips are named `{name}`: rename one of the files"
+        );
     }
     Ok(names)
 }
@@ -229,7 +234,6 @@ impl Evaluation<'_> {
     /// Holds the number and size of each clip's pictures against the ground truth before the detector runs: a mistake is
     /// found now and not after hours. How many frames a video has is known only when it was played.
     fn check_pictures(&self) -> anyhow::Result<()> {
-        // What is left out of it is reported when it is used.
         let Some(mut truth) = self.truth.clone() else {
             return Ok(());
         };
@@ -252,8 +256,9 @@ impl Evaluation<'_> {
                 let most = self.pass_settings.max_frames.unwrap_or(whole);
                 let mut clip = Clip::new(source.name().to_owned(), first.size, whole.min(most));
                 let is_alone = self.names.len() == 1;
-                let report = &mut LoadReport::default();
-                truth.attach_to(&mut clip, is_alone, Some(whole), report)?;
+                // The pass gives each clip its truth once more, and reports what is left out.
+                let mut unread = LoadReport::default();
+                truth.attach_to(&mut clip, is_alone, Some(whole), &mut unread)?;
             }
         }
         Ok(())
@@ -262,7 +267,10 @@ impl Evaluation<'_> {
     /// Returns the frames per second of a clip: those that were asked for, the video's own, or those of the ground truth.
     /// Pictures alone have none.
     fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
-        let own = || match name {
+        if let Some(asked) = self.arguments.rate {
+            return Some(asked);
+        }
+        match name {
             SourceName::Video(_)
             | SourceName::VideoFiles(_)
             | SourceName::Recording(..)
@@ -270,8 +278,7 @@ impl Evaluation<'_> {
             SourceName::Pictures(_) | SourceName::Archive(_) => {
                 self.truth.as_ref()?.rate(source.name(), self.names.len() == 1)
             }
-        };
-        self.arguments.rate.or_else(own)
+        }
     }
 
     /// Runs the detector over a clip of `rate` frames per second, and all policies on its detections.
@@ -283,6 +290,7 @@ impl Evaluation<'_> {
             &mut self.report,
         )?;
         clip.frame_rate = rate;
+        // The clips that are kept are without pictures.
         let pass = clip.pass.take();
         if let Some(pass) = &pass {
             self.times.extend(&pass.times);
@@ -299,10 +307,11 @@ impl Evaluation<'_> {
             let is_alone = self.names.len() == 1;
             truth.attach_to(&mut clip, is_alone, frames_of_source, &mut self.report)?;
         }
-        if self.video.pass.save_detections.is_some() {
+        if let Some(folder) = &self.video.pass.save_detections {
+            // Whatever happens to the next clip, this one is on the disk.
             self.kept.push(clip.clone());
+            recorded::write_last(folder, &self.kept)?;
         }
-        save_last(&self.video.pass, &self.kept)?;
         clip.pass = pass;
         if self.truth.is_none() {
             clip.truth = Some(vanilla_as_truth(&clip, self.settings.confidence));
@@ -312,7 +321,8 @@ impl Evaluation<'_> {
             return Ok(());
         }
 
-        let mut results = run::run([&clip], &self.policies, &self.settings, &|| ())?;
+        let no_progress = || ();
+        let mut results = run::run([&clip], &self.policies, &self.settings, &no_progress)?;
         // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
         // would take too much memory.
         if let Err(error) = attach_pictures(source, &mut results, &clip.unusable) {
@@ -322,16 +332,16 @@ impl Evaluation<'_> {
         }
         self.results.extend(results);
         for (number, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let results = streams::run([&clip], &self.policies, &self.settings, stream)?;
+            let of_stream = streams::run([&clip], &self.policies, &self.settings, stream)?;
             match self.streams.get_mut(number) {
-                Some(clips_before) => clips_before.extend(results),
-                None => self.streams.push(results),
+                Some(clips_before) => clips_before.extend(of_stream),
+                None => self.streams.push(of_stream),
             }
         }
         Ok(())
     }
 
-    /// Saves the detections, and reports the results.
+    /// Says what was noticed in the pass, writes the report to `--out`, and prints the results.
     fn conclude(mut self) -> anyhow::Result<()> {
         let pass = &self.video.pass;
         end_pass(pass, &self.report);
@@ -437,37 +447,28 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
 
 /// Loads the models of the pass.
 fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
-    Ok(ModelRunner::start(
-        &DetectorConfig {
-            model: pass.detector.clone(),
-            head: pass.head.clone(),
-            class_names: pass.class_names.clone().map(ClassNames::File),
-            // The evaluation maps classes itself.
-            report_classes: Some(Vec::new()),
-            confidence: LOWEST_CONFIDENCE,
-            providers: vec![pass.provider],
-            timeout_ms: TIMEOUT_MS,
-            ..DetectorConfig::default()
-        },
-        &ScreenConfig {
-            model: pass.screen_model.clone(),
-            color_order: pass.screen_color_order,
-            empty_is_second: pass.screen_empty_class == 1,
-            timeout_ms: TIMEOUT_MS,
-            ..ScreenConfig::default()
-        },
-    )?)
+    let detector = DetectorConfig {
+        model: pass.detector.clone(),
+        head: pass.head.clone(),
+        class_names: pass.class_names.clone().map(ClassNames::File),
+        // The evaluation maps classes itself.
+        report_classes: Some(Vec::new()),
+        confidence: LOWEST_CONFIDENCE,
+        providers: vec![pass.provider],
+        timeout_ms: TIMEOUT_MS,
+        ..DetectorConfig::default()
+    };
+    let screen = ScreenConfig {
+        model: pass.screen_model.clone(),
+        color_order: pass.screen_color_order,
+        empty_is_second: pass.screen_empty_class == 1,
+        timeout_ms: TIMEOUT_MS,
+        ..ScreenConfig::default()
+    };
+    Ok(ModelRunner::start(&detector, &screen)?)
 }
 
-/// Saves the detections of the last of `clips`, if asked to: whatever happens to the next one, they are kept.
-fn save_last(pass: &PassArguments, clips: &[Clip]) -> anyhow::Result<()> {
-    if let Some(folder) = &pass.save_detections {
-        recorded::write_last(folder, clips)?;
-    }
-    Ok(())
-}
-
-/// Prints what was noticed on the way.
+/// Says what was noticed in the pass, and where its detections are.
 fn end_pass(pass: &PassArguments, report: &LoadReport) {
     for line in report.lines() {
         eprintln!("{line}");
@@ -508,6 +509,10 @@ pub(super) fn detect_all(
     rate: Option<f64>,
     pass: &PassArguments,
 ) -> anyhow::Result<Vec<Clip>> {
+    if pass.save_detections.is_some() {
+        // Their tables are named after them.
+        clip_names(clips)?;
+    }
     let mut models = start_models(pass)?;
     let settings = PassSettings {
         max_frames: pass.frames,
@@ -523,7 +528,9 @@ pub(super) fn detect_all(
                 detected.frame_rate = rate;
             }
             detected_clips.push(detected);
-            save_last(pass, &detected_clips)?;
+            if let Some(folder) = &pass.save_detections {
+                recorded::write_last(folder, &detected_clips)?;
+            }
         }
     }
     end_pass(pass, &report);

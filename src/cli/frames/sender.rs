@@ -41,6 +41,16 @@ pub struct OutgoingFrame {
     pub attachment: FrameAttachment,
 }
 
+/// Whether a node subscribes to the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Receivers {
+    /// None has yet: Zenoh says nothing before the first one.
+    NeverSeen,
+    Present,
+    /// All have left.
+    Gone,
+}
+
 #[derive(Clone, Debug)]
 enum SendMode {
     Put(Arc<Publisher<'static>>),
@@ -54,7 +64,7 @@ pub struct FrameSender {
     session: Session,
     key: String,
     mode: SendMode,
-    receivers: watch::Receiver<Option<bool>>,
+    receivers: watch::Receiver<Receivers>,
     stream: u64,
     _token: Arc<LivelinessToken>,
 }
@@ -66,29 +76,38 @@ impl FrameSender {
     /// When the key is not a key expression, or the session is closed.
     pub async fn declare(session: &Session, key: &str, pacing: Pacing) -> anyhow::Result<Self> {
         let refused = |error| anyhow!("cannot publish on `{key}`: {error}");
-        let (changed, receivers) = watch::channel(None);
+        let (changed, receivers) = watch::channel(Receivers::NeverSeen);
+        let congestion = match pacing {
+            Pacing::Drop => CongestionControl::Drop,
+            Pacing::WaitForNetwork | Pacing::WaitForNode => CongestionControl::Block,
+        };
         let mode = if pacing == Pacing::WaitForNode {
             let querier = session
                 .declare_querier(key.to_owned())
-                .congestion_control(CongestionControl::Block)
-                .timeout(TURN);
-            SendMode::Ask(Arc::new(querier.await.map_err(refused)?))
+                .congestion_control(congestion)
+                .timeout(TURN)
+                .await
+                .map_err(refused)?;
+            SendMode::Ask(Arc::new(querier))
         } else {
-            let congestion = match pacing {
-                Pacing::Drop => CongestionControl::Drop,
-                _ => CongestionControl::Block,
-            };
-            let publisher =
-                session.declare_publisher(key.to_owned()).congestion_control(congestion).await;
-            SendMode::Put(Arc::new(publisher.map_err(refused)?))
+            let publisher = session
+                .declare_publisher(key.to_owned())
+                .congestion_control(congestion)
+                .await
+                .map_err(refused)?;
+            SendMode::Put(Arc::new(publisher))
         };
         let listener = match &mode {
             SendMode::Put(publisher) => publisher.matching_listener(),
             SendMode::Ask(querier) => querier.matching_listener(),
         };
-        // Zenoh says nothing before there is a subscriber.
         let note = move |status: MatchingStatus| {
-            changed.send_replace(Some(status.matching()));
+            let now = if status.matching() {
+                Receivers::Present
+            } else {
+                Receivers::Gone
+            };
+            changed.send_replace(now);
         };
         let listening = listener.callback(note).background();
         listening.await.map_err(refused)?;
@@ -114,8 +133,8 @@ impl FrameSender {
         Ok(())
     }
 
-    /// True while a node subscribes to the frames; `None` until one has.
-    pub(crate) fn receivers(&self) -> watch::Receiver<Option<bool>> {
+    /// Whether a node subscribes to the frames.
+    pub(crate) fn receivers(&self) -> watch::Receiver<Receivers> {
         self.receivers.clone()
     }
 
@@ -125,7 +144,7 @@ impl FrameSender {
     /// When no node subscribes within `patience`.
     pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
         let mut receivers = self.receivers();
-        let taken = receivers.wait_for(|taken| *taken == Some(true));
+        let taken = receivers.wait_for(|now| *now == Receivers::Present);
         tokio::time::timeout(patience, taken)
             .await
             .with_context(|| self.nobody())?
@@ -187,7 +206,7 @@ impl FrameSender {
                 .attachment(self.attachment(frame)?)
                 .wait()
                 .map_err(|error| anyhow!("a frame cannot be sent: {error}"))?;
-            while let Ok(reply) = replies.recv() {
+            while let Ok(Some(reply)) = replies.recv_deadline(until) {
                 if let Ok(sample) = reply.result() {
                     let answer: FrameAnswer = read(&sample.payload().to_bytes())
                         .context("the node's answer to a frame")?;
