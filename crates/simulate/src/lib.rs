@@ -62,15 +62,9 @@ pub async fn run(
     let began = Instant::now();
     let mut playing = start_players(&options, &totals, &sessions, began, &end)?;
 
-    let mut every = tokio::time::interval(PROGRESS_EVERY);
+    let tell = || progress(progress_line(began, &totals));
     let until = began + options.duration;
-    loop {
-        tokio::select! {
-            () = tokio::time::sleep_until(until) => break,
-            () = shutdown.cancelled() => break,
-            _ = every.tick() => progress(progress_line(began, &totals)),
-        }
-    }
+    play_until(until, &shutdown, &mut playing, tell).await?;
     let played_s = began.elapsed().as_secs_f64();
     end.cancel();
     let draining = Instant::now();
@@ -137,7 +131,32 @@ fn start_players(
     Ok(playing)
 }
 
+/// Lets the nodes play until that time or `shutdown`, and calls `tell` at intervals.
+///
+/// # Errors
+/// As soon as a node fails.
+async fn play_until(
+    until: Instant,
+    shutdown: &CancellationToken,
+    playing: &mut Playing,
+    mut tell: impl FnMut(),
+) -> Result<(), SimulateError> {
+    let mut every = tokio::time::interval(PROGRESS_EVERY);
+    loop {
+        tokio::select! {
+            () = tokio::time::sleep_until(until) => return Ok(()),
+            () = shutdown.cancelled() => return Ok(()),
+            // Before the end, a node ends only if it has failed.
+            ended = all_ended(playing) => return ended,
+            _ = every.tick() => tell(),
+        }
+    }
+}
+
 /// Waits until every node has sent its remaining reports.
+///
+/// # Errors
+/// As soon as one fails.
 async fn all_ended(playing: &mut Playing) -> Result<(), SimulateError> {
     while let Some(ended) = playing.join_next().await {
         ended.map_err(SimulateError::at("a simulated session failed"))??;
@@ -159,4 +178,22 @@ fn progress_line(began: Instant, totals: &Totals) -> String {
         counts.no_reply,
         answers.p99_ms,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_node_that_fails_ends_the_run_at_once() {
+        let mut playing = Playing::new();
+        playing.spawn(std::future::pending());
+        playing.spawn(async { Err(SimulateError("no session".to_owned())) });
+        let began = Instant::now();
+        let until = began + Duration::from_secs(3600);
+        let shutdown = CancellationToken::new();
+        let ended = play_until(until, &shutdown, &mut playing, || ()).await;
+        assert!(ended.unwrap_err().to_string().contains("no session"));
+        assert_eq!(began.elapsed(), Duration::ZERO);
+    }
 }
