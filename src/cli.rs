@@ -176,7 +176,8 @@ impl Command {
             #[cfg(feature = "eval")]
             Self::Replay(arguments) => block_on(async {
                 let shutdown = albireo_service::signals::shutdown()?;
-                replay::run(arguments, shutdown).await.map(drop)
+                replay::run(arguments, shutdown).await?;
+                Ok(())
             })?,
             #[cfg(feature = "eval")]
             Self::Export(arguments) => export::run(&arguments)?,
@@ -193,33 +194,36 @@ impl Command {
     }
 }
 
-/// Runs the subcommand that the arguments of this process name, prints its error to standard error, and ends the process.
-/// Invalid arguments end it with a message.
+/// Runs the subcommand that the arguments of this process name, prints its error to standard error, and ends the
+/// process. Invalid arguments end it with a message.
 pub fn run() -> ! {
     let command = Arguments::parse().command;
     panics::end_quietly_at_a_closed_pipe();
     variables::start_with(command.variables());
-    let code = command.run().unwrap_or_else(|error| {
-        let said = format!("albireo: {}", in_words(&error));
-        logging::last_words(&terminal::error(&said));
-        1
-    });
-    // A model may still be loading on a thread of ONNX Runtime, and the C library would tear that library down beside
-    // it. All that must be kept was committed before; only what standard output and the log hold back is written here.
+    let code = match command.run() {
+        Ok(code) => code,
+        Err(error) => {
+            let said = format!("albireo: {}", in_words(&error));
+            logging::last_words(&terminal::error(&said));
+            1
+        }
+    };
+    // This exit runs none of the C library's exit handlers: they would tear ONNX Runtime down while a thread of it may
+    // still load a model. All that must be kept was committed before; only what standard output and the log hold back
+    // is still to be written.
     let _ = std::io::stdout().flush();
     logging::finish();
     signal_hook::low_level::exit(code)
 }
 
-/// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that the text
-/// before it already contains.
+/// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that already
+/// stands behind a colon in the text before it.
 fn in_words(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1) {
-        let cause = cause.to_string();
-        if !text.contains(&format!(": {cause}")) {
-            text.push_str(": ");
-            text.push_str(&cause);
+        let addition = format!(": {cause}");
+        if !text.contains(&addition) {
+            text.push_str(&addition);
         }
     }
     albireo_service::session::plain(&text)
@@ -239,7 +243,7 @@ fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<
 
 /// Listens on the address of the setting `key`.
 async fn listen(key: &str, address: SocketAddr) -> anyhow::Result<TcpListener> {
-    TcpListener::bind(address).await.map_err(|error| {
+    let refused = |error: std::io::Error| {
         let way_out = match error.kind() {
             std::io::ErrorKind::AddrInUse => {
                 " (by a running node or hub? another port in the same key works, too)"
@@ -247,7 +251,8 @@ async fn listen(key: &str, address: SocketAddr) -> anyhow::Result<TcpListener> {
             _ => "",
         };
         anyhow::anyhow!("{key}: {address} cannot be listened on: {error}{way_out}")
-    })
+    };
+    TcpListener::bind(address).await.map_err(refused)
 }
 
 #[cfg(test)]
@@ -255,34 +260,68 @@ mod tests {
     use super::*;
     use clap::CommandFactory;
 
-    #[test]
-    fn no_help_is_wider_than_80_columns() {
-        fn check(command: &mut clap::Command) -> usize {
-            let help = command.render_long_help().to_string();
-            // Clap never breaks the line of the usage.
-            for line in help.lines().filter(|line| !line.starts_with("Usage:")) {
-                assert!(line.chars().count() <= 80, "{}: {line}", command.get_name());
-            }
-            let closing = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-            for line in closing.lines() {
-                assert!(help.lines().any(|shown| shown == line), "broken: {line}");
-            }
-            1 + command.get_subcommands_mut().map(check).sum::<usize>()
+    /// The help of a command as a terminal of 80 columns shows it.
+    struct ShownHelp {
+        command: String,
+        text: String,
+        /// The end of the help as it was written.
+        closing: String,
+    }
+
+    /// The help of the program and of all its subcommands.
+    fn all_helps() -> Vec<ShownHelp> {
+        let mut program = Arguments::command().term_width(80);
+        program.build();
+        let mut helps = Vec::new();
+        collect_helps(&mut program, &mut helps);
+        assert!(helps.len() > 20);
+        helps
+    }
+
+    fn collect_helps(command: &mut clap::Command, helps: &mut Vec<ShownHelp>) {
+        helps.push(ShownHelp {
+            command: command.get_name().to_owned(),
+            text: command.render_long_help().to_string(),
+            closing: command.get_after_help().map(ToString::to_string).unwrap_or_default(),
+        });
+        for subcommand in command.get_subcommands_mut() {
+            collect_helps(subcommand, helps);
         }
-        let mut command = Arguments::command().term_width(80);
-        command.build();
-        assert!(check(&mut command) > 20);
     }
 
     #[test]
-    fn an_error_is_printed_with_every_cause_and_none_twice() {
+    fn no_help_is_wider_than_80_columns() {
+        for help in all_helps() {
+            // Clap never breaks the line of the usage.
+            for line in help.text.lines().filter(|line| !line.starts_with("Usage:")) {
+                assert!(line.chars().count() <= 80, "{}: {line}", help.command);
+            }
+        }
+    }
+
+    #[test]
+    fn no_line_at_the_end_of_a_help_is_broken() {
+        for help in all_helps() {
+            for line in help.closing.lines() {
+                let is_whole = help.text.lines().any(|shown| shown == line);
+                assert!(is_whole, "{}: {line}", help.command);
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_is_printed_with_every_cause() {
+        let error = anyhow::anyhow!("b is 3").context("a").context("reading");
+        assert_eq!(in_words(&error), "reading: a: b is 3");
+    }
+
+    #[test]
+    fn a_cause_that_the_text_before_it_names_is_not_printed_again() {
         let cause = std::io::Error::other("no such file");
         let error = anyhow::Error::new(cause)
             .context("cannot read a.csv: no such file")
             .context("evaluating");
         let expected = "evaluating: cannot read a.csv: no such file";
         assert_eq!(in_words(&error), expected);
-        let error = anyhow::anyhow!("b is 3").context("a").context("reading");
-        assert_eq!(in_words(&error), "reading: a: b is 3");
     }
 }

@@ -44,10 +44,14 @@ pub(super) struct AuthorityPlace {
 
 impl AuthorityPlace {
     pub(super) fn open(&self) -> anyhow::Result<Authority> {
+        let opened = Authority::open(&self.folder);
+        if self.folder.join("authority.pem").exists() {
+            return Ok(opened?);
+        }
         let shown = self.folder.display();
-        let missing =
-            || format!("no authority in {shown}; create one with `albireo cert authority`");
-        Authority::open(&self.folder).with_context(missing)
+        opened.with_context(|| {
+            format!("no authority in {shown}; create one with `albireo cert authority`")
+        })
     }
 }
 
@@ -133,14 +137,17 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
             days,
         } => {
             let mut authority = place.open()?;
-            let who = match (role, name) {
-                (Some(role), Some(name)) => vec![(*role, name.clone())],
-                _ => expiring(&authority, within.unwrap_or(0)),
-            };
-            if who.is_empty() {
+            let mut members = Vec::new();
+            if let (Some(role), Some(name)) = (role, name) {
+                members.push((*role, name.clone()));
+            }
+            if let Some(within) = within {
+                members.extend(expiring(&authority, *within));
+            }
+            if members.is_empty() {
                 println!("no certificate expires that soon");
             }
-            for (role, name) in who {
+            for (role, name) in members {
                 print_issued(&authority.renew(role, &name, DAY * *days)?);
             }
         }
@@ -153,15 +160,19 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
                 revoked.common_name()
             );
         }
-        CertCommand::List { json: true } => {
-            println!("{}", serde_json::to_string_pretty(place.open()?.entries())?);
+        CertCommand::List { json } => {
+            let authority = place.open()?;
+            if *json {
+                println!("{}", serde_json::to_string_pretty(authority.entries())?);
+            } else {
+                list(&authority);
+            }
         }
-        CertCommand::List { json: false } => list(&place.open()?),
     }
     Ok(())
 }
 
-/// Returns role and name of each valid certificate that ends within so many days.
+/// Returns role and name of each certificate that is not revoked and ends within so many days, or has ended already.
 fn expiring(authority: &Authority, days: u32) -> Vec<(Role, String)> {
     let until_s = unix_milliseconds() / 1000 + i64::from(days) * 86_400;
     let mut expiring = Vec::new();
@@ -191,12 +202,15 @@ fn print_issued(issued: &Issued) {
 }
 
 fn list(authority: &Authority) {
-    let now = unix_milliseconds() / 1000;
+    let now_s = unix_milliseconds() / 1000;
     for entry in authority.entries() {
-        let state = match (entry.revoked_s, entry.ends_s - now) {
-            (Some(_), _) => "revoked".to_owned(),
-            (None, left) if left < 0 => "has ended".to_owned(),
-            (None, left) => format!("ends in {} days", left / 86_400),
+        let left_s = entry.ends_s - now_s;
+        let state = if entry.revoked_s.is_some() {
+            "revoked".to_owned()
+        } else if left_s < 0 {
+            "has ended".to_owned()
+        } else {
+            format!("ends in {} days", left_s / 86_400)
         };
         println!("{:<40} {state}", entry.common_name());
     }

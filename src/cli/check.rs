@@ -37,8 +37,8 @@ pub(super) struct CheckArguments {
     /// Check keys and values only: for a file that is meant for another machine.
     #[arg(long)]
     file_only: bool,
-    /// Also try what a node's file names: run the model on its provider, open each source until a picture arrives, connect
-    /// to the router and look for a hub behind it.
+    /// Also try what a node's file names: run the model on its provider, open each source until a picture arrives,
+    /// connect to the router and look for a hub behind it.
     #[arg(long, conflicts_with = "file_only")]
     online: bool,
 }
@@ -50,21 +50,21 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     }
     let (config, mut findings) = examine::<NodeConfig>(Some(&arguments.file));
     let mut detector = Vec::new();
-    if let Some(config) = &config
-        && !arguments.file_only
-    {
-        let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        let here = config.here();
-        let missing = here.missing.into_iter();
-        findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
-        detector = here.detector;
+    let mut tried = Ok(());
+    if let Some(config) = &config {
+        if !arguments.file_only {
+            let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
+            let here = config.here();
+            let missing = here.missing.into_iter();
+            findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
+            detector = here.detector;
+        }
+        // Also if something is missing: what else does not work is better known at once.
+        if arguments.online {
+            tried = block_on(online(config, &findings));
+        }
     }
     let file = arguments.file.display().to_string();
-    // Also if something is missing: what else does not work is better known at once.
-    let tried = match &config {
-        Some(config) if arguments.online => block_on(online(config, &findings)),
-        _ => Ok(()),
-    };
     let config = match config {
         Some(config) if findings.is_empty() => config,
         _ => return Err(ConfigError { file, findings }.into()),
@@ -128,7 +128,11 @@ fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints a line for each resource that was tried. A reason that `findings` repeat is left to them.
+/// Tries each resource that the configuration names, and prints a line for each. A reason that `findings` repeat is
+/// left to them.
+///
+/// # Errors
+/// When one of the resources does not work.
 async fn online(config: &NodeConfig, findings: &[Finding]) -> anyhow::Result<()> {
     // This takes seconds for a large model or an unreachable camera, and minutes for TensorRT's first engine.
     let waiting = spinner("trying models, cameras and router".to_owned());
@@ -141,8 +145,8 @@ async fn online(config: &NodeConfig, findings: &[Finding]) -> anyhow::Result<()>
             Ok(found) => format!("works  {key}: {found}"),
             Err(reason) => {
                 failed += 1;
-                let mut findings = findings.iter();
-                match findings.find(|finding| finding.reason == reason) {
+                let same = findings.iter().find(|finding| finding.reason == reason);
+                match same {
                     Some(finding) => format!("fails  {key}: see {} below", finding.key),
                     None => format!("fails  {key}: {reason}"),
                 }

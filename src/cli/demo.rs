@@ -88,53 +88,57 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     let free = listen("camera", 7447, &mut moved).await?;
     let endpoint = format!("tcp/{}", free.local_addr()?);
     drop(free);
-    let addresses = [listener.local_addr()?, hub_listener.local_addr()?];
+    let page = listener.local_addr()?;
+    let hub_page = hub_listener.local_addr()?;
     let mut config = configuration(&arguments, &endpoint)?;
-    for (label, address) in ["page", "hub"].into_iter().zip(addresses) {
-        config.node.labels.insert(label.to_owned(), format!("http://{address}/"));
-    }
+    let labels = &mut config.node.labels;
+    labels.insert("page".to_owned(), format!("http://{page}/"));
+    labels.insert("hub".to_owned(), format!("http://{hub_page}/"));
     let prepared = PreparedNode::new(&config)?;
     let show = Show::new(prepared.board(), shutdown.clone());
     // Printed once the node works: before, an error may be all there is to say.
-    let banner = show.banner(&config, addresses, &moved);
+    let banner = show.banner(&config, [page, hub_page], &moved);
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.
     let stop_hub = CancellationToken::new();
-    let hub = tokio::spawn(ending(
+    let hub_task = tokio::spawn(ending(
         shutdown.clone(),
         hub(hub_listener, endpoint.clone(), stop_hub.clone()),
     ));
-    let node = tokio::spawn(ending(shutdown.clone(), {
-        let config = config.clone();
-        let shutdown = shutdown.clone();
-        async move { albireo_node::run(&config, Some(prepared), listener, shutdown).await }
-    }));
-    let camera = tokio::spawn(ending(
+    let node_config = config.clone();
+    let node_shutdown = shutdown.clone();
+    let node = async move {
+        albireo_node::run(&node_config, Some(prepared), listener, node_shutdown).await
+    };
+    let node_task = tokio::spawn(ending(shutdown.clone(), node));
+    let camera_task = tokio::spawn(ending(
         shutdown.clone(),
         camera(clip, arguments, config, endpoint, banner, shutdown.clone()),
     ));
-    let show = tokio::spawn(show.run());
-    let node = node.await.context("node")?;
-    let camera = camera.await.context("camera")?;
-    let summary = show.await.context("output")?;
+    let show_task = tokio::spawn(show.run());
+    let node_ended = node_task.await.context("node")?;
+    let camera_ended = camera_task.await.context("camera")?;
+    let summary = show_task.await.context("output")?;
     // The hub ends last, so that the last clip has arrived.
     stop_hub.cancel();
-    let hub = hub.await.context("hub")?;
-    camera?;
-    node?;
-    hub?;
+    let hub_ended = hub_task.await.context("hub")?;
+    camera_ended?;
+    node_ended?;
+    hub_ended?;
     summary.print();
     Ok(())
 }
 
+/// Runs a part of the demonstration; its end ends the others by `shutdown`.
 async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -> T {
     let ended = work.await;
     shutdown.cancel();
     ended
 }
 
-/// Opens a listener on this port of the loopback interface, or else on any free one, and then notes in `moved` which and why.
+/// Opens a listener on this port of the loopback interface, or else on any free one, and then notes in `moved` which
+/// and why.
 async fn listen(whose: &str, port: u16, moved: &mut Vec<String>) -> anyhow::Result<TcpListener> {
     let error = match TcpListener::bind((Ipv4Addr::LOCALHOST, port)).await {
         Ok(listener) => return Ok(listener),
@@ -177,8 +181,8 @@ fn configuration(arguments: &DemoArguments, endpoint: &str) -> anyhow::Result<No
     Ok(config)
 }
 
-/// Runs a hub that connects to the node at `endpoint`, with its history in a temporary folder, until `stop`. It has
-/// committed all reports then.
+/// Runs a hub that connects to the node at `endpoint`, with its history in a temporary folder, until `stop`. All
+/// reports that it received are committed before it ends.
 async fn hub(
     listener: TcpListener,
     endpoint: String,
@@ -197,7 +201,8 @@ async fn hub(
     albireo_hub::run(&config, listener, stop).await.context("hub")
 }
 
-/// Plays the camera until `shutdown`, and prints the `banner` when the node takes its frames.
+/// Plays the camera until `shutdown`, and prints the `banner` when the node takes its frames. Where `--seconds` limits
+/// the demonstration, cancels `shutdown` that long after the banner.
 async fn camera(
     clip: Box<dyn FrameSource>,
     arguments: DemoArguments,

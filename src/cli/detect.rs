@@ -16,8 +16,9 @@ use albireo_vision::picture::{
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail, ensure};
 use serde_json::json;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Arguments of `albireo detect`.
 #[derive(Debug, clap::Args)]
@@ -44,10 +45,12 @@ pub(super) struct DetectArguments {
     /// fastestdet, or the columns of its output, `columns=batch x1 y1 x2 y2 class score`.
     #[arg(long, default_value_t)]
     head: HeadSetting,
-    /// Names of its classes, one per line; `coco` for COCO's 80 [default: those of its metadata, or the head's own list]
+    /// Names of its classes, one per line; `coco` for COCO's 80 [default: those of its metadata, or the head's own
+    /// list]
     #[arg(long, value_name = "FILE")]
     class_names: Option<PathBuf>,
-    /// Report all classes of the model under their own names and numbers; of COCO's 80, only those of BDD100K otherwise.
+    /// Report all classes of the model under their own names and numbers; of COCO's 80, only those of BDD100K
+    /// otherwise.
     #[arg(long)]
     all_classes: bool,
     /// The range of the input's values [default: the head's]
@@ -91,12 +94,12 @@ pub(super) struct DetectArguments {
 
 pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     // Loading takes seconds for a large model, and minutes for TensorRT.
+    let files = pictures(arguments)?;
     let loading = spinner(format!("loading {}", arguments.model.display()));
-    let network = DetectorNetwork::open(&configuration(arguments));
+    let opened = DetectorNetwork::open(&configuration(arguments));
     loading.finish_and_clear();
-    let mut network = network?;
+    let mut network = opened?;
     let names = network.class_names().to_vec();
-    let mut pictures = 0;
     let mut unusable = 0;
     if arguments.json {
         let model = &arguments.model;
@@ -114,19 +117,16 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
         print(&format!("{description}, runs on {provider}"));
         print(&classes(&names, network.left_out()));
     }
-    for path in &arguments.pictures {
-        for file in picture_files(path)? {
-            pictures += 1;
-            let outcome = match read_picture_file(&file) {
-                Ok(encoded) => detect(arguments, &mut network, &file, &encoded, &names)
-                    .with_context(|| file.display().to_string()),
-                Err(error) => Err(error.into()),
-            };
-            // One bad file does not hide what is in the others.
-            if let Err(error) = outcome {
-                unusable += 1;
-                eprintln!("albireo: {error:#}");
-            }
+    for file in &files {
+        let outcome = match read_picture_file(file) {
+            Ok(encoded) => detect(arguments, &mut network, file, &encoded, &names)
+                .with_context(|| file.display().to_string()),
+            Err(error) => Err(error.into()),
+        };
+        // One bad file does not hide what is in the others.
+        if let Err(error) = outcome {
+            unusable += 1;
+            eprintln!("albireo: {error:#}");
         }
     }
     if !arguments.json {
@@ -149,9 +149,36 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     ensure!(
         unusable == 0,
         "{unusable} of {} could not be used",
-        counted(pictures, "picture", "pictures")
+        counted(files.len() as u64, "picture", "pictures")
     );
     Ok(())
+}
+
+/// The pictures to look at. Refuses two of one name where files are named after them.
+fn pictures(arguments: &DetectArguments) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for path in &arguments.pictures {
+        files.extend(picture_files(path)?);
+    }
+    let mut by_name: HashMap<_, &PathBuf> = HashMap::new();
+    for file in &files {
+        let name = if arguments.out.is_some() {
+            // Written as JPEG, whatever it is.
+            file.file_stem()
+        } else if arguments.write_input.is_some() {
+            file.file_name()
+        } else {
+            break;
+        };
+        if let Some(other) = by_name.insert(name, file) {
+            bail!(
+                "{} and {} would be written under one name: give them in two commands, with a folder each",
+                other.display(),
+                file.display()
+            );
+        }
+    }
+    Ok(files)
 }
 
 /// Says what a model of one size wastes on most cameras' pictures, if that is worth a word.
@@ -262,38 +289,42 @@ fn detect(
     let decoding = started.elapsed();
     let prepared = network.preparation().prepare(&picture)?;
     let found = network.detect(&prepared)?;
-    let [decode, letterbox, model, head] =
-        [decoding, found.letterbox, found.model, found.head].map(|time| time.as_secs_f64() * 1e3);
+    let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
+    let decode_ms = milliseconds(decoding);
+    let letterbox_ms = milliseconds(found.letterbox);
+    let model_ms = milliseconds(found.model);
+    let head_ms = milliseconds(found.head);
     let size = picture.source_size;
-    let name = |found: &Detection| {
-        let name = names.get(usize::from(found.class.0));
+    let name_of = |detection: &Detection| {
+        let name = names.get(usize::from(detection.class.0));
         name.map_or("", String::as_str)
     };
     if arguments.json {
-        let detection = |found: &Detection| {
-            let corners = found.bounding_box.pixel_corners(size);
+        let in_json = |detection: &Detection| {
+            let corners = detection.bounding_box.pixel_corners(size);
             json!({
-                "class": found.class.0, "class_name": name(found), "confidence": found.confidence,
+                "class": detection.class.0, "class_name": name_of(detection), "confidence": detection.confidence,
                 "x1": corners.x1, "y1": corners.y1, "x2": corners.x2, "y2": corners.y2,
             })
         };
-        let detections: Vec<_> = found.detections.iter().map(detection).collect();
+        let detections: Vec<_> = found.detections.iter().map(in_json).collect();
         let facts = json!({
             "picture": file, "width": size.width, "height": size.height, "input": prepared.size().to_string(),
-            "padding": network.input_format().padding(size, prepared.size()), "decode_ms": decode,
-            "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
+            "padding": network.input_format().padding(size, prepared.size()), "decode_ms": decode_ms,
+            "letterbox_ms": letterbox_ms, "model_ms": model_ms, "head_ms": head_ms, "detections": detections,
         });
         println!("{facts}");
     } else {
         println!(
-            "{} {size}: {} (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
+            "{} {size}: {} (decode {decode_ms:.1} ms, letterbox {letterbox_ms:.1} ms, model {model_ms:.1} ms, \
+             head {head_ms:.1} ms)",
             file.display(),
             counted(found.detections.len() as u64, "detection", "detections"),
         );
-        for found in &found.detections {
-            let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);
-            let name = name(found);
-            let confidence = found.confidence;
+        for detection in &found.detections {
+            let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(size);
+            let name = name_of(detection);
+            let confidence = detection.confidence;
             println!("  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]");
         }
     }
@@ -303,7 +334,7 @@ fn detect(
     if let Some(folder) = &arguments.write_input {
         let mut name = file.file_name().unwrap_or_default().to_owned();
         name.push(".f32");
-        // As the model takes it, also where a GPU converts it.
+        // What the model takes, also where a GPU would make it from the prepared pixels.
         let input = prepared.converted(network.input_format())?;
         let values = input.tensor().to_floats();
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -340,7 +371,7 @@ fn write_drawn(
     found: &Found,
 ) -> anyhow::Result<()> {
     let limits = FrameLimits::default();
-    // The network's input may have been decoded at a smaller size.
+    // Decoded once more: for the network it may have been decoded at a smaller size.
     let mut picture = Picture::default();
     decode(encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
     for detection in &found.detections {
@@ -356,8 +387,12 @@ fn write_drawn(
     };
     let name = Path::new(file.file_name().unwrap_or_default()).with_extension("jpg");
     let target = in_folder(folder, &name)?;
-    if let (Ok(source), Ok(target)) = (file.canonicalize(), target.canonicalize()) {
-        ensure!(source != target, "--out would overwrite the picture itself");
+    // A target that does not exist yet has no canonical path, and cannot be the picture.
+    if let (Ok(source), Ok(existing)) = (file.canonicalize(), target.canonicalize()) {
+        ensure!(
+            source != existing,
+            "--out would overwrite the picture itself"
+        );
     }
     write(&target, &to_jpeg(&drawn, &limits)?)
 }

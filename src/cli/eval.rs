@@ -47,7 +47,8 @@ pub struct EvalArguments {
 enum What {
     /// Replay recorded detections: a folder with sequences.json, detections/ and groundtruth/.
     Recorded(FolderArguments),
-    /// Replay the public detections of a MOTChallenge sequence (seqinfo.ini, gt/ and det/), or of a folder of sequences.
+    /// Replay the public detections of a MOTChallenge sequence (seqinfo.ini, gt/ and det/), or of a folder of
+    /// sequences.
     #[command(name = "motchallenge")]
     MotChallenge(FolderArguments),
     /// Replay stored detections on KITTI tracking: a folder with label_02/ and det_02/.
@@ -105,9 +106,10 @@ const LOOKED: &str = "What looks at the pictures";
 struct RunArguments {
     #[command(flatten)]
     settings: SettingsArguments,
-    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be given several times. `all` stands for the
-    /// paper's policies with its settings and expected-loss at 0.1, 0.3 and 0.5. `,pause_s=SECONDS` behind it adds a pause on an empty road (`[screen]`), `,after_s=SECONDS` says
-    /// after how long without a detection. Vanilla always runs as well.
+    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be given several times. `all` stands for
+    /// the paper's policies with its settings and expected-loss at 0.1, 0.3 and 0.5. `,pause_s=SECONDS` behind it adds
+    /// a pause on an empty road (`[screen]`), `,after_s=SECONDS` says after how long without a detection. Vanilla
+    /// always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.
@@ -116,8 +118,8 @@ struct RunArguments {
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
-    /// Frames per second, in place of the rate that the data has: BDD100K 5, KITTI 10, MOTChallenge that of seqinfo.ini, a
-    /// video its own.
+    /// Frames per second, in place of the rate that the data has: BDD100K 5, KITTI 10, MOTChallenge that of
+    /// seqinfo.ini, a video its own.
     #[arg(long, help_heading = JUDGED, value_name = "FPS", alias = "frame-rate", value_parser = parse_rate)]
     rate: Option<f64>,
     /// Take this many frames per second, as if the camera were slower.
@@ -224,7 +226,8 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
     Ok(())
 }
 
-/// Writes the results to `--out`. Before they are printed: whoever reads the output may close it, which ends the program.
+/// Writes the results to `--out`. Comes before [`print()`]: whoever reads the output may close it, which ends the
+/// program.
 fn keep(
     report: &Report,
     streams: &[StreamResults],
@@ -247,7 +250,7 @@ fn print(report: &Report, streams: &[StreamResults], arguments: &RunArguments) {
     for sentence in conclusion(&report.policies) {
         println!("{}", wrapped(&sentence, width));
     }
-    // What the figures mean depends on these, and none can be seen in them.
+    // The figures mean something else under other values of these, and do not show them.
     for (name, value) in &report.settings {
         let is_partial = name == "Frames judged" && value != ALL;
         if name.starts_with("Boxes on crowds") || name == "Frame rate" || is_partial {
@@ -293,6 +296,12 @@ fn policies(arguments: &RunArguments, has_pixels: bool) -> anyhow::Result<Vec<Po
 /// and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     let mut settings = arguments.settings.settings();
+    if let Some(confidence) = settings.report_confidence {
+        ensure!(
+            (0.0..=1.0).contains(&confidence),
+            "--report-confidence {confidence} is not between 0 and 1"
+        );
+    }
     for folder in [&arguments.out, &settings.traces].into_iter().flatten() {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot write to {}", folder.display()))?;

@@ -40,7 +40,7 @@ pub(super) struct ExportArguments {
     frames: ExportedFrames,
 }
 
-/// Exports, and prints what was written and what was left out.
+/// Exports, and prints what was written, what was left out, and what a user of the frames must know.
 ///
 /// # Errors
 /// When there is nothing to export, or the folder cannot be written.
@@ -48,12 +48,12 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let files = recordings(&arguments.recordings)?;
     let bar = progress::bar(Some(files.len() as u64), "recordings  {msg}");
     let out = &arguments.out;
-    let done = export(&files, out, arguments.to, arguments.frames, |so_far| {
+    let exported = export(&files, out, arguments.to, arguments.frames, |so_far| {
         bar.inc(1);
         bar.set_message(counted(so_far.pictures, "picture", "pictures"));
     });
     bar.finish_and_clear();
-    let done = done?;
+    let done = exported?;
     println!(
         "{} with {} of {} in {}",
         counted(done.pictures, "picture", "pictures"),

@@ -83,6 +83,7 @@ enum FleetCommand {
     /// Set the threshold (u, or lambda under expected-loss) of selected nodes.
     SetU {
         /// The new value.
+        #[arg(value_parser = units::finite)]
         value: f64,
         /// The threshold's name, for nodes under another policy.
         #[arg(long, default_value = "u")]
@@ -123,7 +124,7 @@ enum FleetCommand {
 enum Ended {
     /// Everything was done.
     Well = 0,
-    /// Some nodes refused or did not answer, or a rollout was rolled back.
+    /// Some nodes refused or did not answer, or a rollout was returned.
     Failed = 3,
     /// Some nodes or stages are still pending.
     Open = 4,
@@ -151,6 +152,7 @@ impl Context {
     }
 }
 
+/// Runs the command, and returns its exit code.
 pub(super) async fn run(arguments: FleetArguments) -> anyhow::Result<i32> {
     let context = Context {
         client: Client::new(&arguments.hub, arguments.token, REMEDY)?,
@@ -174,6 +176,6 @@ pub(super) async fn run(arguments: FleetArguments) -> anyhow::Result<i32> {
         FleetCommand::Trial(command) => runs::trial(&context, command).await,
         FleetCommand::Energy(arguments) => nodes::energy(&context, arguments).await,
         FleetCommand::Watch { looks } => nodes::watch(&context, looks).await,
-    }?;
-    Ok(ended as i32)
+    };
+    Ok(ended? as i32)
 }

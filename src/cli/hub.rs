@@ -69,7 +69,7 @@ pub(super) fn run(arguments: &HubArguments) -> anyhow::Result<()> {
 }
 
 async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
-    let to = DatabaseConfig {
+    let database = DatabaseConfig {
         url: to.to_owned(),
         ..DatabaseConfig::default()
     };
@@ -81,11 +81,11 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
         moved_bar.set_position(progress.rows);
         moved_bar.set_message(progress.table);
     };
-    let rows = transfer::to_postgres(from, &to, show).await?;
+    let rows = transfer::to_postgres(from, &database, show).await?;
     bar.finish_and_clear();
     println!(
         "{} now has {} of {from}",
-        to.shown(),
+        database.shown(),
         counted(rows, "row", "rows")
     );
     Ok(())

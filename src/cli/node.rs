@@ -26,7 +26,7 @@ pub(super) struct NodeArguments {
 
 pub(super) fn run(arguments: &NodeArguments) -> anyhow::Result<()> {
     let mut config = configuration(arguments.config.as_deref())?;
-    // Only what is measured waits for the engine.
+    // Only measurements wait until TensorRT has built its engine.
     config.detector.answers_while_building = true;
     logging::start(&config.log)?;
     let defaults = Path::new("built-in defaults");
@@ -39,7 +39,8 @@ pub(super) fn run(arguments: &NodeArguments) -> anyhow::Result<()> {
         let limit = config.node.stop_timeout;
         let shutdown = signals::shutdown_within(limit)?;
         let listener = listen("http.listen", config.http.listen).await?;
-        Ok(albireo_node::run(&config, None, listener, shutdown).await?)
+        let prepared = None;
+        Ok(albireo_node::run(&config, prepared, listener, shutdown).await?)
     })
 }
 

@@ -1,4 +1,5 @@
-//! Plays one run to the real node: starts a node with one policy, sends it the clip as a camera does, and collects its answers.
+//! Plays one run to the real node: starts a node with one policy, sends it the clip as a camera does, and collects its
+//! answers.
 
 pub(super) mod clip;
 
@@ -100,19 +101,20 @@ type Traces = BTreeMap<String, Vec<[f64; 2]>>;
 impl Played {
     /// Suggests a threshold, if no frame was skipped although objects were tracked.
     pub(super) fn advice(&self, spec: Option<ThresholdSpec>) -> Option<Suggestion> {
+        let spec = spec?;
         let mut watch = SkipWatch::default();
         for answer in &self.answers {
             watch.count(answer);
         }
-        let advice = watch.advice_so_far(&spec?)?;
+        let advice = watch.advice_so_far(&spec)?;
         Some(Suggestion {
             threshold: advice.threshold,
             value: advice.attempt,
         })
     }
 
-    /// The mean time of a frame until its answer, milliseconds. Without a rate the next frame is sent while the node works
-    /// on the one before: its wait there says nothing about the node.
+    /// The mean time of a frame until its answer, milliseconds. Without a rate the next frame is sent while the node
+    /// works on the one before: its wait there says nothing about the node, and is left out.
     pub(super) fn frame_ms(&self, rate: Option<f64>) -> f64 {
         let times = self.answers.iter().map(|answer| match rate {
             Some(_) => answer.latency_ms.total,
@@ -126,9 +128,9 @@ impl Played {
         self.answers.iter().map(AsRef::as_ref)
     }
 
-    /// Returns the boxes of each frame that ground truth can judge, of a clip of `frames` frames of which the first has the
-    /// sequence number `first`; a frame without an answer has none. Boxes of classes that are not `evaluated` are counted in
-    /// `left_out`.
+    /// Returns the boxes of each frame that ground truth can judge, of a clip of `frames` frames of which the first has
+    /// the sequence number `first`; a frame without an answer has none. Boxes of classes that are not `evaluated` are
+    /// counted in `left_out`.
     pub(super) fn judged_boxes(
         &self,
         first: u64,
@@ -186,8 +188,8 @@ impl Player {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
-    /// Rests, then plays the clip to a new node under `policy`. `progress` gets the number of frames sent and the current
-    /// step.
+    /// Rests, then plays the clip to a new node under `policy`. `progress` gets the number of frames sent and the
+    /// current step.
     ///
     /// # Errors
     /// When the node cannot start or does not answer, or on `shutdown`.
@@ -232,8 +234,9 @@ impl Player {
         ended.cancel();
         let measured = played?;
         let answers = collecting.await.context("the node's answers")??;
-        let mut reports = board.recent_clips(Some(CAMERA), None, None, usize::MAX).into_iter();
-        let measured_clip = reports.find(|report| report.clip == MEASURED);
+        let at_any_time = None;
+        let reports = board.recent_clips(Some(CAMERA), at_any_time, at_any_time, usize::MAX);
+        let measured_clip = reports.iter().find(|report| report.clip == MEASURED);
         let report = measured_clip.context("the node reported no clip")?;
         ensure!(
             report.part == 0,
@@ -241,7 +244,7 @@ impl Player {
             self.extent.way_out()
         );
         Ok(Played {
-            report: ClipReport::clone(&report),
+            report: ClipReport::clone(report),
             cpu: measured.cpu,
             memory_mb: measured.memory_mb,
             traces: measured.traces,
@@ -355,9 +358,9 @@ impl Player {
     }
 }
 
-/// Returns the configuration of a run under `policy`: of `base`, what decides, detects and measures, with one camera, a local
-/// endpoint and no stored state. Whatever else a node does, such as reports to a hub, recordings, hooks and MQTT, is left out:
-/// it would tell others of pictures that no camera has seen.
+/// Returns the configuration of a run under `policy`: of `base`, what decides, detects and measures, with one camera, a
+/// local endpoint and no stored state. Whatever else a node does, such as reports to a hub, recordings, hooks and MQTT,
+/// is left out: it would tell others of pictures that no camera has seen.
 fn configuration(
     base: &NodeConfig,
     policy: &PolicySpec,
@@ -399,8 +402,8 @@ pub(super) fn played_of(base: &NodeConfig) -> NodeConfig {
     config
 }
 
-/// The configuration of the nodes that runs are played to: that of `file`, with another detector if one is named.
-/// `log_level` takes the place of the default level: a node per run would otherwise write its start and its end for each.
+/// The configuration of the nodes that runs are played to: that of `file`, with another `detector` if one is named.
+/// `log_level` takes the place of the default level, at which the node of each run would write its start and its end.
 ///
 /// # Errors
 /// When the file is invalid, or there is no detector.
@@ -428,7 +431,7 @@ pub(super) fn node_configuration(
 /// Refuses a paced clip of `frames` frames at `rate` frames per second if one report cannot cover it.
 ///
 /// # Errors
-/// How long it takes, and the `way_out`.
+/// When it cannot: the error says how long the clip takes, and the `way_out`.
 pub(super) fn check_pace(frames: u64, rate: f64, way_out: &str) -> anyhow::Result<()> {
     let seconds = frames as f64 / rate;
     ensure!(
@@ -457,19 +460,22 @@ pub(super) fn with_truth(
     Ok(clip)
 }
 
-/// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.
+/// Sets the power meter in `config` to the one that can be used, so that every run uses the same one and unusable
+/// meters are reported once. Returns its name.
 pub(super) async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
-        albireo_power::open(&wanted).map(|(source, meter)| (source, meter.quality()))
+        let (source, meter) = albireo_power::open(&wanted)?;
+        anyhow::Ok((source, meter.quality()))
     });
     let (source, quality) = opened.await.context("the power meter")??;
     config.source = source;
-    Ok(match quality {
+    let name = match quality {
         EnergyQuality::Measured => format!("{} (measured)", source.as_str()),
         EnergyQuality::Estimated => "no meter, estimated".to_owned(),
         _ => "no meter".to_owned(),
-    })
+    };
+    Ok(name)
 }
 
 /// Collects the answers to the clip's frames until the node has `ended`.
@@ -492,7 +498,8 @@ async fn collect(
     }
 }
 
-/// Collects the machine's power by domain until `ended`: seconds since the start, and the mean watts since the entry before.
+/// Collects the machine's power by domain until `ended`: seconds since the start, and the mean watts since the entry
+/// before.
 async fn trace(power: PowerHandle, ended: CancellationToken) -> Traces {
     let start = Instant::now();
     let mut traces = Traces::new();
@@ -573,8 +580,10 @@ mod tests {
         configuration(base, &policies[0], Delivery::Newest).unwrap()
     }
 
-    #[test]
-    fn a_comparison_reports_to_no_hub_and_holds_no_target() {
+    const POLICIES: [&str; 2] = ["albireo", "vanilla"];
+
+    /// A node that does all that a run must not do.
+    fn busy_node() -> NodeConfig {
         let mut base = NodeConfig::default();
         base.node.state_dir = Some("/var/lib/albireo".into());
         base.zenoh.connect = vec!["tcp/hub.example:7447".to_owned()];
@@ -585,19 +594,44 @@ mod tests {
         base.clip.longest_s = 60.0;
         base.mqtt.broker = Some("mqtt://house.example".to_owned());
         base.record.folder = Some("/var/lib/albireo/recordings".into());
+        base
+    }
+
+    #[test]
+    fn a_run_reports_to_no_hub_and_no_broker_and_is_not_recorded() {
         let NodeConfig { mqtt, record, .. } = NodeConfig::default();
-        for policy in ["albireo", "vanilla"] {
-            let config = configuration_of(&base, policy);
+        for policy in POLICIES {
+            let config = configuration_of(&busy_node(), policy);
             assert!(!config.uplink.is_set());
             assert_eq!(config.zenoh.connect, [""; 0]);
-            assert_eq!(config.target.hold, None);
-            assert_eq!(config.node.state_dir, None);
-            assert_eq!(config.node.answer, AnswerTime::WhenKnown);
-            assert!(!config.settle.enabled);
-            // A slow run of a long clip is one report, and nobody else is told of it.
-            assert_eq!(config.clip.longest_s, 3600.0);
             assert_eq!(config.mqtt, mqtt);
             assert_eq!(config.record, record);
+        }
+    }
+
+    #[test]
+    fn a_run_holds_no_target_and_keeps_no_state() {
+        for policy in POLICIES {
+            let config = configuration_of(&busy_node(), policy);
+            assert_eq!(config.target.hold, None);
+            assert_eq!(config.node.state_dir, None);
+        }
+    }
+
+    #[test]
+    fn a_run_answers_each_frame_once_when_the_detector_has() {
+        for policy in POLICIES {
+            let config = configuration_of(&busy_node(), policy);
+            assert_eq!(config.node.answer, AnswerTime::WhenKnown);
+            assert!(!config.settle.enabled);
+        }
+    }
+
+    #[test]
+    fn a_slow_run_of_a_long_clip_is_one_report() {
+        for policy in POLICIES {
+            let config = configuration_of(&busy_node(), policy);
+            assert_eq!(config.clip.longest_s, 3600.0);
         }
     }
 

@@ -13,17 +13,17 @@ use std::time::Duration;
 /// standard error is not a terminal.
 #[cfg(feature = "hub")]
 pub(super) fn bar(total: Option<u64>, unit: &str) -> ProgressBar {
-    let (bar, style) = match total {
-        Some(total) => (
-            ProgressBar::new(total),
-            format!("{{prefix}}{{bar:30}} {{pos}}/{{len}} {unit}  {{per_sec}}  {{eta}} left"),
-        ),
-        None => (
-            ProgressBar::new_spinner(),
-            format!("{{prefix}}{{spinner}} {{pos}} {unit}  {{per_sec}}  {{elapsed}}"),
-        ),
+    let bar = match total {
+        Some(total) => ProgressBar::new(total),
+        None => ProgressBar::new_spinner(),
     };
-    let style = ProgressStyle::with_template(&style);
+    let template = match total {
+        Some(_) => {
+            format!("{{prefix}}{{bar:30}} {{pos}}/{{len}} {unit}  {{per_sec}}  {{eta}} left")
+        }
+        None => format!("{{prefix}}{{spinner}} {{pos}} {unit}  {{per_sec}}  {{elapsed}}"),
+    };
+    let style = ProgressStyle::with_template(&template);
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
@@ -31,7 +31,8 @@ pub(super) fn bar(total: Option<u64>, unit: &str) -> ProgressBar {
 #[cfg(feature = "eval")]
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Awaits `work`. If it takes longer than a moment, says on standard error what is waited for, and that Ctrl-C ends the wait.
+/// Awaits `work`. If it takes longer than a moment, says on standard error what is waited for, and that Ctrl-C ends the
+/// wait.
 #[cfg(feature = "eval")]
 pub(super) async fn waiting<T>(what: &str, work: impl Future<Output = T>) -> T {
     tokio::pin!(work);

@@ -47,8 +47,8 @@ A camera on the node's own machine needs no publisher: [[camera]] source in its
 configuration. Runs until stopped, and reconnects to a camera or node that
 comes back.")]
 pub(super) struct PublishArguments {
-    /// A camera (rtsp://, http://), a device, a video file, a folder or pattern of them, or a GStreamer pipeline; ${NAME} is an
-    /// environment variable
+    /// A camera (rtsp://, http://), a device, a video file, a folder or pattern of them, or a GStreamer pipeline;
+    /// ${NAME} is an environment variable
     #[arg(value_parser = |text: &str| Ok::<_, Infallible>(SourceAddress::new(text)))]
     source: SourceAddress,
     /// Where the frames go.
@@ -141,8 +141,8 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     };
     let ended = source.run(each, shutdown).await;
     close(session).await?;
-    let sent = counted(sent.load(Ordering::Relaxed), "frame", "frames");
-    println!("sent {sent} on {key}");
+    let frames = counted(sent.load(Ordering::Relaxed), "frame", "frames");
+    println!("sent {frames} on {key}");
     ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
     if *receivers.borrow() == Receivers::NeverSeen {
         bail!("no node subscribed to `{key}`: {NOBODY}");
@@ -150,7 +150,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Waits for a session with the node. What keeps it away is said when it begins or changes, and then rarely.
+/// Waits for a session with the node. Logs what keeps it away: at once when that begins or changes, and then rarely.
 async fn connected(target: &FrameTarget) -> Session {
     let mut said = String::new();
     let mut again = RateLimit::new(REMINDER);
@@ -190,6 +190,7 @@ async fn log_receivers(mut receivers: watch::Receiver<Receivers>, key: String) {
 /// Sends a source's pictures.
 struct Outlet {
     sender: FrameSender,
+    /// The sequence number of the next picture.
     seq: u64,
 }
 

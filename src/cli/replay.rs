@@ -43,8 +43,9 @@ A live camera is not replayed: the node opens it ([[camera]] source), or
 `albireo publish` does."
 )]
 pub struct ReplayArguments {
-    /// A video file, a folder or a pattern of them, a folder of JPEG and PNG files, a tar archive of such folders, an MCAP file
-    /// with pictures of Foxglove or ROS 2 (FILE.mcap:/TOPIC if several topics have pictures), or `demo`, which is demo/road.tar
+    /// A video file, a folder or a pattern of them, a folder of JPEG and PNG files, a tar archive of such folders, an
+    /// MCAP file with pictures of Foxglove or ROS 2 (FILE.mcap:/TOPIC if several topics have pictures), or `demo`,
+    /// which is demo/road.tar
     pub source: SourceName,
 
     /// Where the frames go.
@@ -84,11 +85,15 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     };
     let (session, sender) = connected?;
     let receivers = sender.receivers();
-    let total = match (options.frames, source.frames()) {
-        (Some(frames), Some(own)) if !options.repeat => Some(frames.min(own)),
-        (Some(frames), _) => Some(frames),
-        (None, own) if !options.repeat => own,
-        (None, _) => None,
+    // A loop has no end of its own.
+    let in_source = if options.repeat {
+        None
+    } else {
+        source.frames()
+    };
+    let total = match (options.frames, in_source) {
+        (Some(asked), Some(there)) => Some(asked.min(there)),
+        (asked, there) => asked.or(there),
     };
     let bar = progress::bar(total, "frames  {msg}");
     let mut lost = 0;
@@ -107,7 +112,8 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     };
     bar.finish_and_clear();
     close(session).await?;
-    let sent = Sent { lost, ..ended? };
+    let published = ended?;
+    let sent = Sent { lost, ..published };
     println!("{}", summary(&sent, &key));
     if sent.frames > 0 && *receivers.borrow() == Receivers::NeverSeen {
         bail!("no node subscribed to `{key}`: {NOBODY}");
@@ -117,25 +123,39 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
 
 /// Opens a session and, if requested, waits until a node takes frames.
 async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Session, FrameSender)> {
-    let target = &arguments.target;
-    let Some(seconds) = arguments.wait_for_subscriber else {
-        let place = format!("for an answer from {}", target.endpoints());
-        let opening = open(arguments, key, Duration::ZERO);
-        let (session, sender) = progress::waiting(&place, opening).await?;
-        // Subscribers are known a moment after the session is open.
-        if sender.wait_for_receiver(LISTENERS).await.is_err() {
-            let meanwhile = if arguments.every {
-                format!("the first frame waits, {}", progress::at_most(TURN))
-            } else {
-                "frames are lost (--wait-for-subscriber waits for it)".to_owned()
-            };
-            let said =
-                format!("albireo: no node subscribes to `{key}` yet, so {meanwhile}: {NOBODY}");
-            eprintln!("{}", terminal::error(&said));
-        }
-        return Ok((session, sender));
-    };
-    let patience = Duration::from_secs(seconds);
+    match arguments.wait_for_subscriber {
+        Some(seconds) => open_and_wait(arguments, key, Duration::from_secs(seconds)).await,
+        None => open_at_once(arguments, key).await,
+    }
+}
+
+/// Opens a session. Says on standard error if no node takes frames yet.
+async fn open_at_once(
+    arguments: &ReplayArguments,
+    key: &str,
+) -> anyhow::Result<(Session, FrameSender)> {
+    let answer = format!("for an answer from {}", arguments.target.endpoints());
+    let opening = open(arguments, key, Duration::ZERO);
+    let (session, sender) = progress::waiting(&answer, opening).await?;
+    // Subscribers are known a moment after the session is open.
+    if sender.wait_for_receiver(LISTENERS).await.is_err() {
+        let meanwhile = if arguments.every {
+            format!("the first frame waits, {}", progress::at_most(TURN))
+        } else {
+            "frames are lost (--wait-for-subscriber waits for it)".to_owned()
+        };
+        let said = format!("albireo: no node subscribes to `{key}` yet, so {meanwhile}: {NOBODY}");
+        eprintln!("{}", terminal::error(&said));
+    }
+    Ok((session, sender))
+}
+
+/// Opens a session and waits until a node takes frames, both together within `patience`.
+async fn open_and_wait(
+    arguments: &ReplayArguments,
+    key: &str,
+    patience: Duration,
+) -> anyhow::Result<(Session, FrameSender)> {
     let subscribing = async {
         let begun = Instant::now();
         let (session, sender) = open(arguments, key, patience).await?;
@@ -145,7 +165,7 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
     let what = format!(
         "{}, for a node at {} that subscribes to `{key}` (start it with `{} node`)",
         progress::at_most(patience),
-        target.endpoints(),
+        arguments.target.endpoints(),
         program()
     );
     progress::waiting(&what, subscribing).await
@@ -168,7 +188,8 @@ async fn open(
     Ok((session, sender))
 }
 
-/// Says when the last node that took frames stops to, and when one takes them again.
+/// Says on standard error when the last node that took frames stops, and when one takes them again. Never ends by
+/// itself.
 async fn tell_of_receivers(
     mut receivers: watch::Receiver<Receivers>,
     key: &str,
@@ -251,13 +272,22 @@ mod tests {
     }
 
     #[test]
-    fn the_key_is_the_camera_s_or_the_one_given_and_nonsense_is_refused() {
+    fn the_key_is_the_camera_s_or_the_one_given() {
         let key = |arguments| parse(arguments).unwrap().target.frame_key();
         assert_eq!(key("").unwrap(), "albireo/node/front/frame");
         let named = "--prefix f --node n --camera c";
         assert_eq!(key(named).unwrap(), "f/n/c/frame");
         assert_eq!(key("--key a/b").unwrap(), "a/b");
-        assert!(key("--camera a/b").is_err());
+    }
+
+    #[test]
+    fn a_camera_whose_name_is_not_valid_in_a_key_is_refused() {
+        let arguments = parse("--camera a/b").unwrap();
+        assert!(arguments.target.frame_key().is_err());
+    }
+
+    #[test]
+    fn arguments_that_contradict_each_other_or_cannot_be_met_are_refused() {
         for wrong in ["--key a --node n", "--rate 0", "--clip-seconds 0"] {
             assert!(parse(wrong).is_err(), "{wrong}");
         }

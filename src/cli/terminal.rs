@@ -10,7 +10,7 @@ pub(super) const WIDTH: usize = 100;
 /// The narrowest terminal that lines are made for.
 const LEAST_WIDTH: usize = 60;
 
-/// The columns of a terminal that lines are made for; `None` if `stream` is none.
+/// The columns of a terminal that lines are made for; `None` if `stream` is no terminal, or one that does not tell.
 fn columns(stream: impl AsFd) -> Option<usize> {
     let size = tcgetwinsize(stream).ok()?;
     let columns = usize::from(size.ws_col);
@@ -23,13 +23,14 @@ pub(super) fn width() -> usize {
     columns(std::io::stdout()).unwrap_or(WIDTH)
 }
 
-/// The longest line of other text on standard output: what no person reads has a line for each fact, however long.
+/// The longest line of other text on standard output. Without a terminal there is no limit: a program reads one line
+/// for each fact, however long.
 pub(super) fn line_width() -> usize {
     columns(std::io::stdout()).unwrap_or(usize::MAX)
 }
 
-/// Breaks each line of `text` that is longer than `width` at spaces; what follows is indented by `indent` spaces more than
-/// the line itself.
+/// Breaks each line of `text` that is longer than `width` at spaces; what follows is indented by `indent` spaces more
+/// than the line itself.
 fn hanging(text: &str, width: usize, indent: usize) -> String {
     let fit = |line: &str| {
         let own = line.len() - line.trim_start_matches(' ').len();
@@ -38,8 +39,8 @@ fn hanging(text: &str, width: usize, indent: usize) -> String {
     text.lines().map(fit).collect::<Vec<_>>().join("\n")
 }
 
-/// Breaks a line that is longer than `width` at spaces; what follows begins in this column. A longer word, such as a path,
-/// stays whole.
+/// Breaks a line that is longer than `width` at spaces; what follows begins in this column. A longer word, such as a
+/// path, stays whole.
 pub(super) fn broken(line: &str, width: usize, column: usize) -> String {
     let below = " ".repeat(column);
     let options = Options::new(width)

@@ -34,12 +34,15 @@ pub(super) fn not_negative(text: &str) -> Result<f64, String> {
 
 /// A count with its noun: `1 clip`, `2 clips`.
 pub(super) fn counted(count: u64, one: &str, several: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { several })
+    let noun = if count == 1 { one } else { several };
+    format!("{count} {noun}")
 }
 
 fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|value| fits(*value));
-    value.ok_or_else(|| format!("must be a number {which}"))
+    match text.parse::<f64>() {
+        Ok(value) if fits(value) => Ok(value),
+        _ => Err(format!("must be a number {which}")),
+    }
 }
 
 /// Reads `1280x720`.
@@ -69,12 +72,17 @@ mod tests {
 
     #[cfg(feature = "eval")]
     #[test]
-    fn a_time_that_is_too_long_is_refused_with_the_longest() {
+    fn a_time_that_is_too_long_or_not_above_zero_is_refused_with_the_limits() {
         assert_eq!(above_zero("1e6"), Ok(1e6));
         for text in ["2000000", "0", "nan"] {
             let refused = above_zero(text).unwrap_err();
             assert_eq!(refused, "must be a number above 0, up to 1000000", "{text}");
         }
+    }
+
+    #[cfg(feature = "eval")]
+    #[test]
+    fn a_time_that_may_be_zero_has_the_same_longest() {
         assert_eq!(not_negative("0"), Ok(0.0));
         let refused = not_negative("2000000").unwrap_err();
         assert_eq!(refused, "must be a number from 0 to 1000000");

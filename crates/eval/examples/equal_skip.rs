@@ -1,5 +1,6 @@
-//! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
-//! All boxes of a policy are judged, also those too faint to be published; newcomers by the boxes that a node publishes.
+//! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip
+//! rate. All boxes of a policy are judged, also those too faint to be published; newcomers by the boxes that a node
+//! publishes.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
@@ -78,11 +79,13 @@ impl Point {
 
     /// By how many frames later than with `other` an object is found, of each clip whose objects are numbered.
     fn later_than(&self, other: &Self) -> Vec<f64> {
-        let pairs = self.clips.iter().zip(&other.clips);
-        let later = pairs.filter_map(|(own, other)| {
-            Some(own.newcomers?.delay_frames - other.newcomers?.delay_frames)
-        });
-        later.collect()
+        let mut later = Vec::new();
+        for (ours, theirs) in self.clips.iter().zip(&other.clips) {
+            if let (Some(own), Some(others)) = (ours.newcomers, theirs.newcomers) {
+                later.push(own.delay_frames - others.delay_frames);
+            }
+        }
+        later
     }
 
     fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
@@ -114,8 +117,10 @@ impl Recordings {
     pub(crate) fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
         let base = PolicyConfig::default();
         let screen = ScreenRule::Nonempty;
-        let spec = resolve(&[policy.to_owned()], &[], &base, screen, false)?.pop();
-        let spec = spec.ok_or("there is no policy")?;
+        let has_pictures = false;
+        // The baseline comes first.
+        let mut specs = resolve(&[policy.to_owned()], &[], &base, screen, has_pictures)?;
+        let spec = specs.pop().ok_or("there is no policy")?;
         let value = spec.config.build()?.threshold().unwrap_or_default();
         let clips = run::run(clips, &[spec], &self.settings, &|| ())?;
         Ok(Point { value, clips })
@@ -125,27 +130,31 @@ impl Recordings {
     pub(crate) fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
         // Average precision is not needed to find the place.
         let mut unjudged = self.clips.clone();
-        unjudged.iter_mut().for_each(|clip| clip.truth = None);
+        for clip in &mut unjudged {
+            clip.truth = None;
+        }
         let mut config = PolicyConfig::default();
         config.select(name)?;
-        let spec = config.build()?.threshold_spec();
-        let spec = spec.ok_or("it has no threshold")?;
-        // Half a frame.
+        let spec = config.build()?.threshold_spec().ok_or("it has no threshold")?;
         let frames: usize = self.clips.iter().map(|clip| clip.frames).sum();
+        // The rates that can be reached are about a frame apart.
         let near = 2e-4f64.max(0.5 / frames as f64);
-        // On the square root: fine where the threshold is small, and zero can be reached.
+        // The square root is bisected: its steps are fine where the threshold is small, and zero can be reached.
         let mut low = spec.minimum.sqrt();
         let mut high = spec.maximum.sqrt();
-        let mut best = (f64::INFINITY, String::new());
+        let mut nearest = String::new();
+        let mut least_distance = f64::INFINITY;
         for _ in 0..18 {
             let middle: f64 = (low + high) / 2.0;
             let value = (middle * middle).clamp(spec.minimum, spec.maximum);
             let policy = format!("{name}:{value:e}");
             let reached = self.run(&unjudged, &policy)?.skip_rate();
-            if (reached - wanted).abs() < best.0 {
-                best = ((reached - wanted).abs(), policy);
+            let distance = (reached - wanted).abs();
+            if distance < least_distance {
+                least_distance = distance;
+                nearest = policy;
             }
-            if best.0 <= near {
+            if least_distance <= near {
                 break;
             }
             if reached < wanted {
@@ -154,7 +163,7 @@ impl Recordings {
                 high = middle;
             }
         }
-        self.run(&self.clips, &best.1)
+        self.run(&self.clips, &nearest)
     }
 
     /// Prints the row of a policy beside `expected-loss` at its skip rate.
@@ -167,22 +176,29 @@ impl Recordings {
         let own = ours.mean(ap50);
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
-            let points = ours.minus(other, figure).into_iter().map(|points| 100.0 * points);
-            print!(" {} |", with_interval(&points.collect::<Vec<f64>>(), 1));
+            let changes = ours.minus(other, figure).into_iter();
+            let points: Vec<f64> = changes.map(|change| 100.0 * change).collect();
+            print!(" {} |", with_interval(&points, 1));
         }
         print!(" {} |", with_interval(&ours.later_than(other), 2));
         let changes = ours.minus(other, ap50).into_iter();
-        println!(" {} |", changes.filter(|change| *change < 0.0).count());
+        let worse = changes.filter(|change| *change < 0.0).count();
+        println!(" {worse} |");
         Ok(())
     }
 }
 
-/// The mean of `differences` with its 95 % interval; nothing if there is none.
+/// The mean of `differences` with its 95 % interval; nothing if there is no interval.
 fn with_interval(differences: &[f64], decimals: usize) -> String {
-    let found = Difference::of(differences).and_then(|found| Some((found.mean, found.interval?)));
-    found.map_or_else(String::new, |(mean, [lower, upper])| {
-        format!("{mean:+.decimals$} [{lower:+.decimals$}, {upper:+.decimals$}]")
-    })
+    let Some(Difference {
+        mean,
+        interval: Some([lower, upper]),
+        ..
+    }) = Difference::of(differences)
+    else {
+        return String::new();
+    };
+    format!("{mean:+.decimals$} [{lower:+.decimals$}, {upper:+.decimals$}]")
 }
 
 fn main() -> Outcome<()> {
@@ -191,8 +207,12 @@ fn main() -> Outcome<()> {
     let confidence = arguments.confidence;
     let recordings = Recordings::read(&arguments.folder, half_rate, confidence)?;
     let clips = &recordings.clips;
-    let count = recordings.clips.len();
-    let rate = ["", ", every second frame"][usize::from(half_rate)];
+    let count = clips.len();
+    let rate = if half_rate {
+        ", every second frame"
+    } else {
+        ""
+    };
     println!("{count} clips, detections >= {confidence}{rate}\n");
     for policy in [BASELINE, "expected-loss:0"] {
         let point = recordings.run(clips, policy)?;
@@ -201,11 +221,11 @@ fn main() -> Outcome<()> {
         let new = mean(delays).unwrap_or(f64::NAN);
         println!("- {policy}: {}, new {new:.2} frames", figures.join(", "));
     }
-    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3 | Δ new, frames";
-    println!("\n| policy | skip | AP@50 | λ | AP@50 | {figures} | worse |");
+    let changes = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3 | Δ new, frames";
+    println!("\n| policy | skip | AP@50 | λ | AP@50 | {changes} | worse |");
     println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
-    for rate in SKIP_RATES {
-        let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
+    for skip_rate in SKIP_RATES {
+        let even = recordings.at_skip_rate("even-skip-in-tracker", skip_rate)?;
         recordings.row("even calls", &even)?;
     }
     for policy in POLICIES.split(' ') {

@@ -1,8 +1,9 @@
-//! Measures policies on a machine, clip by clip, and joins the measurements of several machines and settings into tables.
+//! Measures policies on a machine, clip by clip, and joins the measurements of several machines and settings into
+//! tables.
 //!
 //! ```text
 //! (a run on the node) ─▶ ClipRun ─▶ runs file, one per setup ─┐
-//! published rows of the paper ────────────────────────────┴─▶ Setup with its runs ─▶ tables, figures, page
+//! published rows of the paper ────────────────────────────────┴─▶ Setup with its runs ─▶ tables, figures, page
 //! ```
 
 mod across;
@@ -24,11 +25,11 @@ use crate::files;
 use std::path::Path;
 
 /// Writes the joined tables into `folder`, which is created if needed: `join.html` with everything, `join.txt` with the
-/// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, `power.csv` with the power
-/// traces, `settings.csv` with what each setup was measured under, and the figures as SVG.
+/// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, `power.csv` with the
+/// power traces, `settings.csv` with what each setup was measured under, and the figures as SVG.
 ///
 /// # Errors
-/// [`EvalError`] with the first file that cannot be written.
+/// [`EvalError`] with the first figure that cannot be drawn, or the first file that cannot be written.
 pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), EvalError> {
     let summaries: Vec<_> = setups.iter().map(summary::summarise).collect();
     let figures = figures::figures(setups, &summaries).map_err(|error| {

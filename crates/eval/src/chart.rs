@@ -32,8 +32,8 @@ pub(crate) const GRID: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
 /// The Pareto frontier.
 pub(crate) const BAND: RGBColor = RGBColor(0xcd, 0xd2, 0xd9);
 
-/// Colours that colour-blind people can distinguish (Okabe and Ito, 2008), without yellow, which is faint on white; then a violet,
-/// a brown and three of P. Tol's "muted" colours.
+/// Colours that colour-blind people can distinguish (Okabe and Ito, 2008), without yellow, which is faint on white;
+/// then a violet, a brown and three of P. Tol's "muted" colours.
 const PALETTE: [RGBColor; 11] = [
     RGBColor(0x00, 0x72, 0xb2),
     RGBColor(0xd5, 0x5e, 0x00),
@@ -81,15 +81,17 @@ pub(crate) fn signed_label(value: f64, decimals: usize) -> String {
 /// The most labels of an axis.
 const MOST_LABELS: usize = 11;
 
-/// The decimals at which the labels of an axis differ: plotters draws at most `most` of them, 1, 2 or 5 times a power of ten
-/// apart.
+/// The decimals at which the labels of an axis differ: plotters draws at most `most` of them, 1, 2 or 5 times a power
+/// of ten apart.
 fn decimals(range: &Range<f64>, most: usize) -> usize {
     let least = (range.end - range.start) / most as f64;
     let unit = 10_f64.powf(least.log10().floor());
-    let steps = [unit, 2.0 * unit, 5.0 * unit, 10.0 * unit];
-    let step = steps.into_iter().find(|step| *step >= least).unwrap_or(unit);
+    let steps = [unit, 2.0 * unit, 5.0 * unit];
+    let step = steps.into_iter().find(|step| *step >= least).unwrap_or(10.0 * unit);
     // A power of ten may be a little below itself.
-    (-(step * 1.000_001).log10().floor()).clamp(0.0, 9.0) as usize
+    let power = (step * 1.000_001).log10().floor();
+    let decimals = -power;
+    decimals.clamp(0.0, 9.0) as usize
 }
 
 /// An axis of a chart: its name, its range, and the text of a value.
@@ -131,7 +133,8 @@ struct Legend {
 impl Legend {
     fn new(names: &[(usize, &str)]) -> Self {
         let left = 24;
-        let right = SIZE.0 as i32 - 12;
+        let (chart_width, _) = SIZE;
+        let right = chart_width as i32 - 12;
         let mut x = left;
         let mut y = 12 + LEGEND_LINE / 2;
         let mut places = Vec::new();
@@ -160,8 +163,9 @@ pub(crate) fn chart(
     names: &[(usize, &str)],
     draw: impl FnOnce(&mut Plane<'_>) -> Result<(), PlotError>,
 ) -> Result<String, PlotError> {
-    let Legend { places, height } = Legend::new(names);
-    let size = (SIZE.0, SIZE.1 + height as u32);
+    let legend = Legend::new(names);
+    let (width, height) = SIZE;
+    let size = (width, height + legend.height as u32);
     let x_decimals = decimals(&x.range, MOST_LABELS);
     let y_decimals = decimals(&y.range, MOST_LABELS);
     let mut svg = String::new();
@@ -170,7 +174,7 @@ pub(crate) fn chart(
         root.fill(&WHITE)?;
         let mut plane = ChartBuilder::on(&root)
             .margin(12)
-            .margin_top(12 + height)
+            .margin_top(12 + legend.height)
             .x_label_area_size(42)
             .y_label_area_size(56)
             .build_cartesian_2d(x.range, y.range)?;
@@ -190,7 +194,7 @@ pub(crate) fn chart(
             .draw()?;
         draw(&mut plane)?;
         let text = (FONT, 14).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
-        for ((index, name), (x, y)) in names.iter().zip(places) {
+        for ((index, name), (x, y)) in names.iter().zip(legend.places) {
             root.draw(&marker((x, y), *index, color_of(*index, name).filled()))?;
             root.draw(&Text::new(
                 (*name).to_owned(),
@@ -285,14 +289,15 @@ pub(crate) fn percent_label(share: f64, decimals: usize) -> String {
     format!("{:.decimals$} %", share * 100.0)
 }
 
-/// Draws a bar per row, stacked of `parts`; `label` formats a value, and an empty text leaves it out.
+/// Draws a bar per row, stacked of `parts`. `label` formats a value; a part too short for its text has none.
 pub(crate) fn stacked(
     rows: &[(String, Vec<f64>)],
     parts: &[BarPart<'_>],
     label: AxisLabel,
 ) -> Result<String, PlotError> {
     let count = rows.len();
-    let size = (SIZE.0, 70 + 26 * count.clamp(1, 60) as u32);
+    let (width, _) = SIZE;
+    let size = (width, 70 + 26 * count.clamp(1, 60) as u32);
     let widest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let mut longest = 0.0_f64;
     for (_, values) in rows {
@@ -391,18 +396,19 @@ mod tests {
         let Legend { places, height } = Legend::new(&names);
         assert_eq!(places.len(), 12);
         let width = LEGEND_LETTER * 40;
-        for pair in places.windows(2) {
-            let (x, y) = pair[0];
-            let (next_x, next_y) = pair[1];
-            assert!(
-                y < next_y || x + LEGEND_MARKER + width <= next_x,
-                "{pair:?}"
-            );
+        for ((x, y), (next_x, next_y)) in places.iter().zip(places.iter().skip(1)) {
+            let is_left = x + LEGEND_MARKER + width <= *next_x;
+            assert!(y < next_y || is_left, "{places:?}");
         }
+        let (chart_width, _) = SIZE;
         for (x, y) in places {
-            assert!(x + LEGEND_NAME + width < SIZE.0 as i32, "{x}");
+            assert!(x + LEGEND_NAME + width < chart_width as i32, "{x}");
             assert!(y + LEGEND_LINE / 2 <= height, "{y}");
         }
+    }
+
+    #[test]
+    fn a_legend_without_names_takes_no_room() {
         let empty = Legend::new(&[]);
         assert!(empty.places.is_empty());
         assert_eq!(empty.height, 0);
@@ -434,7 +440,7 @@ mod tests {
     #[test]
     fn a_range_is_never_empty() {
         assert_eq!(range([].into_iter(), 0.1), 0.0..1.0);
-        let range = range([0.5].into_iter(), 0.1);
-        assert!(range.start < 0.5 && 0.5 < range.end);
+        let around = range([0.5].into_iter(), 0.1);
+        assert!(around.start < 0.5 && 0.5 < around.end, "{around:?}");
     }
 }

@@ -39,7 +39,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Rules {
-    /// Those of the benchmark that the data comes from: boxes on crowds, distractors and ignored regions are not judged.
+    /// Those of the benchmark that the data comes from: boxes on crowds, distractors and ignored regions are not
+    /// judged.
     #[default]
     Benchmark,
     /// Those of the paper's evaluator: nothing is excused, and crowds of BDD100K are ground truth like any other box.
@@ -111,7 +112,8 @@ impl Clip {
         }
     }
 
-    /// Keeps `rate` frames per second, as if the camera were slower; all, if its rate is not known or not higher.
+    /// Keeps `rate` frames per second, as if the camera were slower, and drops what a pass has kept; leaves the clip as
+    /// it is, if its rate is not known or not higher.
     pub fn thinned(mut self, rate: f64) -> Self {
         let Some(own) = self.frame_rate.filter(|own| *own > rate) else {
             return self;
@@ -319,7 +321,8 @@ impl LoadReport {
         lines
     }
 
-    /// Returns the reason to leave out a box in pixels, if there is one, and counts boxes that extend beyond the picture.
+    /// Returns the reason to leave out a box in pixels, if there is one, and counts boxes that extend beyond the
+    /// picture.
     pub(crate) fn check(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
         let numbers = [corners.x1, corners.y1, corners.x2, corners.y2];
         if numbers.iter().any(|number| !number.is_finite()) {
@@ -361,6 +364,7 @@ impl DataSet {
     /// valid as a file name.
     pub(crate) fn push(&mut self, mut clip: Clip) {
         let plain = clip.name.replace(['/', '\\', ':'], "-");
+        // Nothing is left of a name of dots, and that is no name for a file.
         let is_taken =
             |name: &str| name.is_empty() || self.clips.iter().any(|other| other.name == name);
         clip.name = unused_name(plain.trim_start_matches('.'), is_taken);
@@ -439,8 +443,7 @@ impl DataSet {
 
 fn has_extension(path: &Path, wanted: &[&str]) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
-    extension
-        .is_some_and(|extension| wanted.iter().any(|wanted| extension.eq_ignore_ascii_case(wanted)))
+    extension.is_some_and(|extension| wanted.iter().any(|one| extension.eq_ignore_ascii_case(one)))
 }
 
 /// Lists the JPEG and PNG files of a folder in order; none if the folder does not exist.

@@ -1,4 +1,5 @@
-//! Writes recorded frames as pictures with labels, as COCO or in the layout of MOTChallenge, for training and labelling tools.
+//! Writes recorded frames as pictures with labels, as COCO or in the layout of MOTChallenge, for training and labelling
+//! tools.
 
 mod coco;
 mod frames;
@@ -111,7 +112,7 @@ pub fn export(
         done(&exported);
     }
     if exported.pictures == 0 {
-        let recordings = match recordings.len() {
+        let were_read = match recordings.len() {
             1 => "1 recording was".to_owned(),
             number => format!("{number} recordings were"),
         };
@@ -123,7 +124,7 @@ pub fn export(
             }
             ExportedFrames::Shown => "no frame with its boxes",
         };
-        let text = format!("{recordings} read, and there is {help}. {reasons}");
+        let text = format!("{were_read} read, and there is {help}. {reasons}");
         return Err(EvalError::new(text.trim_end()));
     }
     if format == ExportFormat::Coco {

@@ -10,14 +10,15 @@ pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
     std::fs::read_to_string(path).map_err(|error| EvalError::read(path, error, help))
 }
 
-/// Lists the paths in a folder for which `wanted` is true, sorted.
+/// Lists the paths in a folder for which `wanted` is true, sorted; what cannot be listed is left out.
 pub(crate) fn entries(
     folder: &Path,
     wanted: impl Fn(&Path) -> bool,
 ) -> std::io::Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder)?;
     let mut paths: Vec<PathBuf> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter_map(Result::ok)
+        .map(|entry| entry.path())
         .filter(|path| wanted(path))
         .collect();
     paths.sort();

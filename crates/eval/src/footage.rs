@@ -1,5 +1,5 @@
-//! Reads footage (a video, several as a dashcam writes them, a recording, or a folder or an archive of pictures) as a sequence of
-//! encoded pictures, the form in which a camera sends them.
+//! Reads footage (a video, several as a dashcam writes them, a recording, or a folder or an archive of pictures) as a
+//! sequence of encoded pictures, the form in which a camera sends them.
 
 mod archive;
 mod downsampled;

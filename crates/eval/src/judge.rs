@@ -1,5 +1,5 @@
-//! Judges boxes against the ground truth: average precision, whether boxes keep the identity of their object, and how late
-//! objects are found.
+//! Judges boxes against the ground truth: average precision, whether boxes keep the identity of their object, and how
+//! late objects are found.
 
 mod assignment;
 pub(crate) mod average_precision;

@@ -6,7 +6,7 @@
 //! The rooms, from the ground up; each uses only those before it:
 //!
 //! ```text
-//! error, statistics, text, boxes | files, footage, judge | data, result | energy_model
+//! error, statistics, text, boxes | files, footage, export, judge | data, result | energy_model
 //! settings | spec | chart | pictures, replay, summary | run | report | board, advise, compare
 //! ```
 

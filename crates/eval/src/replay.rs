@@ -5,7 +5,7 @@ mod scoring;
 pub mod trace;
 
 pub(crate) use evidence::StoredEvidence;
-pub(crate) use scoring::score_node_boxes;
+pub(crate) use scoring::{score_all, score_published};
 
 use self::scoring::{decay_threshold, decayed_confidence, score_object, score_truncated};
 use self::trace::TraceFrame;
@@ -82,9 +82,9 @@ pub(crate) fn replay(
         match profile {
             Profile::Paper => {
                 let boxes = &decided.outcome.boxes;
-                let (published, all) = score_node_boxes(boxes, picture, min_confidence);
-                result.boxes.push(published);
-                result.boxes_all.get_or_insert_default().push(all);
+                result.boxes.push(score_published(boxes, picture, min_confidence));
+                let boxes_all = result.boxes_all.get_or_insert_default();
+                boxes_all.push(score_all(boxes, picture));
             }
             Profile::Reference => {
                 let undecayed = score_by_published_evaluator(&objects, decided.outcome, picture);

@@ -216,16 +216,26 @@ pub struct WorstFrame {
 mod tests {
     use super::*;
 
-    #[test]
-    fn shares_add_up_and_skipped_frames_are_e_and_p_without_degraded_ones() {
+    /// A clip of six frames: one in each state, and another in state P.
+    fn six_frames() -> ClipResult {
         let mut result = ClipResult::default();
         for state in FrameState::ALL.into_iter().chain([FrameState::P]) {
             result.states.count(state);
         }
+        result
+    }
+
+    #[test]
+    fn skipped_frames_are_e_and_p_without_degraded_ones() {
+        let mut result = six_frames();
         assert!((result.skip_rate() - 0.5).abs() < 1e-15);
         result.degraded_frames = 1;
         assert!((result.skip_rate() - 2.0 / 6.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_share_of_a_state_is_that_of_its_frames() {
         let shares = [1.0, 2.0, 1.0, 1.0, 1.0].map(|frames| frames / 6.0);
-        assert_eq!(result.state_shares(), shares);
+        assert_eq!(six_frames().state_shares(), shares);
     }
 }

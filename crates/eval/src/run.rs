@@ -41,7 +41,8 @@ struct Step {
     clip: usize,
 }
 
-/// Calls `work` for every policy on every clip, on as many threads as `settings` say.
+/// Calls `work` for every policy on every clip, on as many threads as `settings` say, and `done` after each call. The
+/// results are in order of policies, then clips.
 ///
 /// # Errors
 /// An [`EvalError`] of `work`; after one, no thread begins another step.
@@ -53,9 +54,12 @@ fn in_parallel<'a>(
     work: &(dyn Fn(&'a Clip, &PolicySpec, &Settings) -> Result<ClipResult, EvalError> + Sync),
 ) -> Result<Vec<ClipResult>, EvalError> {
     let clips: Vec<&Clip> = clips.into_iter().collect();
-    let mut steps: Vec<Step> = (0..policies.len())
-        .flat_map(|policy| (0..clips.len()).map(move |clip| Step { policy, clip }))
-        .collect();
+    let mut steps = Vec::with_capacity(policies.len() * clips.len());
+    for policy in 0..policies.len() {
+        for clip in 0..clips.len() {
+            steps.push(Step { policy, clip });
+        }
+    }
     // The longest clips come first, so that no thread is left with one at the end.
     steps.sort_by_key(|step| std::cmp::Reverse(clips[step.clip].frames));
     let no_threads = |error| {
@@ -85,7 +89,7 @@ fn no_evidence(clip: &Clip, policy: &PolicySpec, error: EvalError) -> EvalError 
     error.context(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
-/// Computes the figures of one policy over one clip.
+/// Computes the figures of one policy over one clip, and writes its trace if `settings` name a folder for it.
 ///
 /// # Errors
 /// [`EvalError`] when the policy cannot be built, needs what the clip does not have, or the trace cannot be written.

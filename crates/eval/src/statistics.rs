@@ -2,14 +2,15 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Half the width of the 95 % confidence interval of the mean of `values`, by Student's t. `None` for fewer than two values,
-/// for one that is not finite, or when all are zero (t is 0/0 then).
+/// Half the width of the 95 % confidence interval of the mean of `values`, by Student's t. `None` for fewer than two
+/// values, for one that is not finite, or when all are zero (t is 0/0 then).
 pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
     let mean = MeanEstimate::of(values)?;
     Some(mean.t.inverse_cdf(0.975) * mean.standard_error)
 }
 
-/// The two-sided p of the hypothesis that the mean of `values` is zero, by Student's t; `None` as for [`half_interval`].
+/// The two-sided p of the hypothesis that the mean of `values` is zero, by Student's t; `None` as for
+/// [`half_interval`].
 pub(crate) fn p_value(values: &[f64]) -> Option<f64> {
     let mean = MeanEstimate::of(values)?;
     Some(2.0 * mean.t.cdf(-(mean.value / mean.standard_error).abs()))
@@ -89,11 +90,19 @@ mod tests {
     }
 
     #[test]
-    fn undefined_figures_are_absent_and_equal_differences_certain() {
+    fn the_interval_of_equal_values_has_no_width() {
         assert_eq!(half_interval(&[0.5, 0.5, 0.5]), Some(0.0));
+    }
+
+    #[test]
+    fn the_interval_is_absent_for_one_value_for_zeros_and_for_one_that_is_not_finite() {
         assert_eq!(half_interval(&[1.0]), None);
         assert_eq!(half_interval(&[0.0, 0.0, 0.0]), None);
         assert_eq!(half_interval(&[1.0, f64::NAN]), None);
+    }
+
+    #[test]
+    fn without_values_there_is_neither_a_quantile_nor_a_mean() {
         assert_eq!(quantile(&[], 0.5), None);
         assert_eq!(mean([]), None);
     }

@@ -58,8 +58,8 @@ pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column>, gap: &str) ->
     text
 }
 
-/// Formats `columns` as [`table`] does, in lines of at most `width` characters: columns that do not fit are in further tables
-/// below, which begin with the first column, too. A column of p-values stays beside the one that it is about.
+/// Formats `columns` as [`table`] does, in lines of at most `width` characters: columns that do not fit are in further
+/// tables below, which begin with the first column, too. A column of p-values stays beside the one that it is about.
 pub(crate) fn fitted(columns: &[Column], gap: &str, width: usize) -> String {
     let Some((first, others)) = columns.split_first() else {
         return String::new();
@@ -72,7 +72,8 @@ pub(crate) fn fitted(columns: &[Column], gap: &str, width: usize) -> String {
     for group in others.chunk_by(|_, next| is_p(next)) {
         let needed: usize = group.iter().map(|column| gap_width + column.width()).sum();
         if block.len() > 1 && used + needed > width {
-            blocks.push(std::mem::replace(&mut block, vec![first]));
+            let full = std::mem::replace(&mut block, vec![first]);
+            blocks.push(full);
             used = first.width();
         }
         block.extend(group);
@@ -113,7 +114,7 @@ pub(crate) fn two_decimals(value: Option<f64>) -> String {
 /// Formats a difference with its sign. A sign of one that rounds to zero means nothing, and is always `+`.
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = format!("{value:+.decimals$}");
-    let is_zero = !text.contains(|digit: char| digit.is_ascii_digit() && digit != '0');
+    let is_zero = !text.contains(|digit: char| matches!(digit, '1'..='9'));
     if is_zero {
         text.replace('-', "+")
     } else {

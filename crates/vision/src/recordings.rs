@@ -38,11 +38,12 @@ pub fn are_several(text: &str) -> bool {
     path.is_dir() || (text.contains(['*', '?', '[']) && !path.exists())
 }
 
-/// True for the name of a video file.
+/// True for the name of a video file that is not hidden, unless a folder has this name.
 pub fn is_video_file(path: &Path) -> bool {
     let ending = path.extension().and_then(OsStr::to_str).unwrap_or_default();
-    let hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
-    !hidden && ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)) && !path.is_dir()
+    let has_known_ending = ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
+    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    has_known_ending && !is_hidden && !path.is_dir()
 }
 
 /// The video files that a folder or a pattern names, in the order in which they were recorded: by the times in their names,
@@ -116,6 +117,15 @@ struct View<'a> {
     first: &'a Path,
 }
 
+impl View<'_> {
+    /// The pattern that chooses these files by the mark in their names.
+    fn pattern(&self) -> PathBuf {
+        let folder = self.first.parent().unwrap_or_else(|| Path::new(""));
+        let ending = self.first.extension().unwrap_or_default().display();
+        folder.join(format!("*{}.{ending}", self.name.mark))
+    }
+}
+
 /// Checks that all files come from one camera.
 fn check_one_camera(text: &str, files: &[(FileName, PathBuf)]) -> Result<(), String> {
     let mut views: BTreeMap<&str, View<'_>> = BTreeMap::new();
@@ -131,21 +141,16 @@ fn check_one_camera(text: &str, files: &[(FileName, PathBuf)]) -> Result<(), Str
         return Ok(());
     }
     let mut shown = Vec::new();
-    let mut example = String::new();
-    for (place, View { count, name, first }) in &views {
+    for (place, View { count, first, .. }) in &views {
         let file = first.file_name().unwrap_or_default().display();
-        if place.is_empty() {
-            shown.push(format!("{count} other ({file})"));
-            continue;
-        }
-        shown.push(format!("{count} {place} ({file})"));
-        if example.is_empty() {
-            let folder = first.parent().unwrap_or_else(|| Path::new(""));
-            let ending = first.extension().unwrap_or_default().display();
-            let pattern = folder.join(format!("*{}.{ending}", name.mark));
-            example = format!(", such as {}", pattern.display());
-        }
+        let called = if place.is_empty() { "other" } else { *place };
+        shown.push(format!("{count} {called} ({file})"));
     }
+    let marked = views.values().find(|view| !view.name.view.is_empty());
+    let example = match marked {
+        Some(view) => format!(", such as {}", view.pattern().display()),
+        None => String::new(),
+    };
     Err(format!(
         "{text}: these are files of several cameras: {}. Each is a camera of its own: choose one by a pattern{example}",
         shown.join(", ")
@@ -215,6 +220,7 @@ impl Drives {
         }
     }
 
+    /// Joins the next file to the drive of the one before, or begins a drive with it.
     fn join(&mut self, path: PathBuf, probed: VideoFacts) -> Recording {
         let name = FileName::of(&path);
         let before = self.before.take();
@@ -235,11 +241,11 @@ impl Drives {
             Some(before) => before.drive,
             None => path.file_stem().unwrap_or_default().to_string_lossy().into(),
         };
-        let length = probed.length.as_nanos() as u64;
+        let length_ns = probed.length.as_nanos() as u64;
         self.has_hole = false;
         self.before = Some(Before {
             name,
-            ended_ns: started_ns.map(|started| started.saturating_add(length)),
+            ended_ns: started_ns.map(|started| started.saturating_add(length_ns)),
             drive: Arc::clone(&drive),
         });
         Recording {

@@ -172,36 +172,40 @@ impl<M: Model> Task<M> {
             Ok(()) | Err(End::Stopped) => {}
         }
         drop(self.thread.commands);
-        let limit = tokio::time::sleep(self.settings.timeout);
-        tokio::select! {
-            () = limit => {}
-            () = async { while self.thread.outcomes.recv().await.is_some() {} } => {}
-        }
+        let thread_ends = async { while self.thread.outcomes.recv().await.is_some() {} };
+        // A thread that takes longer is not awaited.
+        let _ = tokio::time::timeout(self.settings.timeout, thread_ends).await;
         Ok(())
     }
 
     /// Puts the successor in the place of the model; true if it was ready. Call it between two runs. The former model is
     /// dropped on its own thread.
     fn promote_successor(&mut self) -> bool {
-        let Some(ready) = self.successor.take_if(|successor| successor.provider.is_some()) else {
+        let ready = self.successor.take_if(|successor| successor.provider.is_some());
+        let Some(Successor {
+            thread,
+            begun,
+            provider: Some(provider),
+            ..
+        }) = ready
+        else {
             return false;
         };
         let former = self.provider.as_str();
-        self.thread = ready.thread;
-        self.provider = ready.provider.unwrap_or(self.provider);
-        let provider = self.provider;
+        self.thread = thread;
+        self.provider = provider;
         info!(
             worker = self.settings.name,
             former,
             provider = provider.as_str(),
-            took_s = ready.begun.elapsed().as_secs(),
+            took_s = begun.elapsed().as_secs(),
             "the model runs on the provider that was being built"
         );
         self.open(ModelStatus::Ready { provider });
         true
     }
 
-    /// Takes note of what a successor told.
+    /// Takes note of what a successor told; gives it up if it cannot be used.
     fn hear_of_successor(&mut self, told: Told<M>) {
         let worker = self.settings.name;
         let provider = self.provider.as_str();
@@ -221,9 +225,9 @@ impl<M: Model> Task<M> {
                 );
                 return;
             }
-            Told::Outcome(Some(Outcome::Built(Ok((built, facts))))) => {
+            Told::Outcome(Some(Outcome::Built(Ok((its_provider, facts))))) => {
                 if self.facts.as_ref() == Some(&facts) {
-                    successor.provider = Some(built);
+                    successor.provider = Some(its_provider);
                     return;
                 }
                 "it has other classes or another input; restart the program to use the new file"
@@ -239,7 +243,8 @@ impl<M: Model> Task<M> {
         );
     }
 
-    /// Returns the next event, at `time` at the latest.
+    /// Waits for the next event, at `time` at the latest. Queues or refuses a request that arrives, and takes note of
+    /// what a successor tells.
     ///
     /// # Errors
     /// If the worker should stop, which is reported once, or if its thread has ended.
@@ -310,17 +315,17 @@ impl<M: Model> Task<M> {
         let batch = self.queue.take_batch();
         self.count_waiting();
         let is_spare = batch.iter().all(|request| request.asker.is_none());
-        let mut pictures = Vec::with_capacity(batch.len());
+        let mut inputs = Vec::with_capacity(batch.len());
         let mut waiting = Vec::with_capacity(batch.len());
         for request in batch {
-            pictures.push(request.picture);
+            inputs.push(request.picture);
             waiting.push(Waiting {
                 reply: request.reply,
                 requested_at: request.requested_at,
             });
         }
         // If the thread is gone, `event` reports it below.
-        let _ = self.thread.commands.send(Command::Run(pictures));
+        let _ = self.thread.commands.send(Command::Run(inputs));
         let result = self.result_of_run(started, &mut waiting).await?;
         let took = started.elapsed();
         self.queue.ran(took);
@@ -333,19 +338,20 @@ impl<M: Model> Task<M> {
             Err(error) => self.failed(error),
         };
         let mut outputs = result.map(Vec::into_iter);
-        for asker in waiting {
-            let answer = match &mut outputs {
+        for caller in waiting {
+            let output = match &mut outputs {
                 // The thread ensures one output per picture.
                 Ok(outputs) => outputs.next().ok_or(RunError::Stopped),
                 Err(error) => Err(error.clone()),
             };
-            // The asker may have given up.
-            let _ = asker.reply.send(answer.map(|output| Answer {
+            let answer = output.map(|output| Answer {
                 output,
-                queued: started.saturating_duration_since(asker.requested_at),
+                queued: started.saturating_duration_since(caller.requested_at),
                 took,
                 pictures,
-            }));
+            });
+            // The caller may have given up.
+            let _ = caller.reply.send(answer);
         }
         if self.is_stopping {
             return Err(End::Stopped);
@@ -405,12 +411,14 @@ impl<M: Model> Task<M> {
                 counts.spare += u64::from(pictures);
             } else {
                 counts.completed += u64::from(pictures);
-                counts.batches += u64::from(pictures > 0);
+                if pictures > 0 {
+                    counts.batches += 1;
+                }
             }
         });
     }
 
-    /// Answers the askers of a run that exceeds its deadline, and refuses others until the run has come back.
+    /// Answers the callers of a run that exceeds its deadline, and refuses others until the run has come back.
     fn too_late(&mut self, waiting: Vec<Waiting<M::Output>>) {
         let timeout = self.settings.timeout.as_millis();
         warn!(
@@ -423,8 +431,8 @@ impl<M: Model> Task<M> {
             timeout_ms: u64::try_from(timeout).unwrap_or(u64::MAX),
         };
         self.degraded(error.to_string());
-        for asker in waiting {
-            let _ = asker.reply.send(Err(error.clone()));
+        for caller in waiting {
+            let _ = caller.reply.send(Err(error.clone()));
         }
     }
 
@@ -450,7 +458,8 @@ impl<M: Model> Task<M> {
         true
     }
 
-    /// Builds a new session after `pause`, and retries until one works.
+    /// Builds a new session after `pause`, which doubles with each attempt, and retries until one works. A successor
+    /// that is ready takes its place.
     async fn rebuild(&mut self, pause: &mut Duration) -> Result<(), End> {
         loop {
             let over = Instant::now() + *pause;
@@ -481,7 +490,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Builds the model on the thread.
+    /// Builds the model on the thread, and accepts pictures if that succeeds.
     async fn build(&mut self) -> Result<Result<M::Facts, StartError>, End> {
         // If the thread is gone, `event` reports it below.
         let _ = self.thread.commands.send(Command::Build);
@@ -558,7 +567,9 @@ impl<M: Model> Task<M> {
         error: &RunError,
     ) {
         for request in requests {
-            self.meter.update(|counts| counts.refused += u64::from(request.asker.is_some()));
+            if request.asker.is_some() {
+                self.meter.update(|counts| counts.refused += 1);
+            }
             let _ = request.reply.send(Err(error.clone()));
         }
     }
@@ -568,6 +579,7 @@ impl<M: Model> Task<M> {
         self.meter.update(|counts| counts.waiting = waiting);
     }
 
+    /// Reports a thread that cannot be repaired, in the log and in the status; returns the end of the worker.
     fn stuck(&mut self, how: String) -> End {
         let name = self.settings.name;
         let reason = format!("the thread of the {name} {how}; only restarting the program helps");

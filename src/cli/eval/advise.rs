@@ -23,8 +23,8 @@ Examples:
   albireo eval advise drive --target skip_rate=0.5
       the same detections for another target, without reading the pictures")]
 pub(super) struct AdviseArguments {
-    /// Video files, folders of pictures, or folders of recorded detections (`albireo eval video … --save-detections`); an
-    /// hour of the road the camera sees is a good recording.
+    /// Video files, folders of pictures, or folders of recorded detections (`albireo eval video … --save-detections`);
+    /// an hour of the road the camera sees is a good recording.
     #[arg(required = true)]
     recordings: Vec<PathBuf>,
     /// The target to meet: recall (against the detector) or skip_rate.
@@ -103,19 +103,19 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
 
 /// Reads recorded detections, and runs the detector over all other recordings.
 fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
-    let mut recordings = Vec::new();
+    let mut clips = Vec::new();
     let mut footage = Vec::new();
     for path in &arguments.recordings {
         if path.join("sequences.json").is_file() {
-            let clips = recorded::read(path)?.only_with_detections(path)?;
-            recordings.extend(clips.clips);
+            let data = recorded::read(path)?.only_with_detections(path)?;
+            clips.extend(data.clips);
         } else {
             let name = path.to_string_lossy();
             footage.push(name.parse::<SourceName>().map_err(anyhow::Error::msg)?);
         }
     }
     if !footage.is_empty() {
-        recordings.extend(detect_all(&footage, arguments.rate, &arguments.pass)?);
+        clips.extend(detect_all(&footage, arguments.rate, &arguments.pass)?);
     }
-    Ok(recordings)
+    Ok(clips)
 }

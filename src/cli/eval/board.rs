@@ -1,4 +1,5 @@
-//! `albireo eval board`: measures policies on this machine over the clips of a data set, and goes on where it was stopped.
+//! `albireo eval board`: measures policies on this machine over the clips of a data set, and goes on where it was
+//! stopped.
 
 mod setup;
 
@@ -26,10 +27,11 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Headings of the help.
+/// Heading of the help.
 const PLAYING: &str = "How it is played";
 
-/// The node keeps no reports, and is not ready immediately, on purpose.
+/// Only errors, and not those of the outbox and of readiness: the node keeps no reports, and is not ready immediately,
+/// on purpose.
 const LOG_LEVEL: &str = "error,albireo_node::outbox=off,albireo_service::readiness=off";
 
 /// What can be done about a clip that takes too long at its own rate.
@@ -62,8 +64,8 @@ pub(super) struct BoardArguments {
     /// Video files, folders of pictures, folders of such folders, or tar archives; `demo` is the demonstration's road
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
-    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be repeated. `all` stands for the paper's
-    /// policies with its settings and expected-loss at 0.1, 0.3 and 0.5. Vanilla always runs as well
+    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be repeated. `all` stands for the
+    /// paper's policies with its settings and expected-loss at 0.1, 0.3 and 0.5. Vanilla always runs as well
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4
@@ -116,7 +118,8 @@ pub(super) struct BoardArguments {
 /// Runs the command; progress goes to standard error.
 ///
 /// # Errors
-/// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be kept.
+/// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be
+/// kept.
 pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let names = clip_names(&arguments.clips)?;
     let alone = names.len() == 1;
@@ -158,6 +161,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         unusable: Vec::new(),
         loaded: None,
     };
+    // A clip whose number of frames nobody knows counts as one frame.
     let frames_to_play: u64 = scheduled.iter().map(|(clip, _)| clip.frames.unwrap_or(1)).sum();
     let bar = progress::bar(Some(frames_to_play), "frames  {msg}");
     let start = Instant::now();
@@ -187,16 +191,15 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     measuring.print_left_out();
-    eprintln!(
-        "Every run is in {0}; next: {1} eval join {0} --out tables",
-        file.path().display(),
-        program()
-    );
+    let runs = file.path().display();
+    let program = program();
+    eprintln!("Every run is in {runs}; next: {program} eval join {runs} --out tables");
     Ok(())
 }
 
 /// Reads the ground truth for the classes of the node's model, which is loaded for their names. If the ground truth has
-/// classes of its own, and the configuration names none to report, the node reports those that both have.
+/// classes of its own, and the configuration names none to report, sets `detector` to report those that both have, and
+/// prints them.
 async fn ground_truth(
     arguments: &BoardArguments,
     detector: &mut DetectorConfig,
@@ -273,15 +276,15 @@ struct MeasuredClip {
     number: usize,
     /// The number of its frames; that of a video is what its file says, if it does.
     frames: Option<u64>,
-    /// What it is in words, as [`ClipRun::content`]; `None` for a video, whose frames are counted when it is read: its file may
-    /// count some that cannot be played.
+    /// What it is in words, as [`ClipRun::content`]; `None` for a video, whose frames are counted when it is read: its
+    /// file may count some that cannot be played.
     content: Option<String>,
     /// True if the power trace of its runs is kept.
     is_traced: bool,
 }
 
 /// Lists the clips that the ground truth names, and holds each one's number of frames and size of pictures against it:
-/// a mistake is found now and not after hours.
+/// a mistake is found now and not after hours. Prints which clips are left out, and what of the ground truth.
 fn measured_clips(
     arguments: &BoardArguments,
     truth: &mut GroundTruth,
@@ -348,22 +351,25 @@ fn labelled(frames: usize, all: usize) -> String {
     )
 }
 
-/// The frames per second at which a clip is paced: those that the user names, which the opened source has, or those of the ground
-/// truth, or the source's own.
+/// The frames per second at which a clip is paced: those that the user names, else those of the ground truth, else the
+/// source's own.
 fn paced_rate(
     arguments: &BoardArguments,
     truth: &GroundTruth,
     alone: bool,
     footage: &dyn FrameSource,
 ) -> f64 {
-    match truth.rate(footage.name(), alone) {
-        Some(rate) if arguments.rate.is_none() => rate,
-        _ => footage.rate(),
+    if arguments.rate.is_some() {
+        // The source was opened with it.
+        return footage.rate();
     }
+    let known = truth.rate(footage.name(), alone);
+    known.unwrap_or_else(|| footage.rate())
 }
 
-/// Describes what the clip is, so that later runs can be held against it. The digest is of what boxes are judged by: neither the
-/// order of a frame's labels nor the numbers of the objects count, which differ between files of the same labels.
+/// Describes what the clip is, so that later runs can be held against it. The digest is of what boxes are judged by:
+/// neither the order of a frame's labels nor the numbers of the objects count, which differ between files of the same
+/// labels.
 fn content_of(clip: &Clip) -> String {
     let mut digest = crc32fast::Hasher::new();
     for frame in 0..clip.frames {
@@ -443,7 +449,10 @@ impl Measuring<'_> {
         }
     }
 
-    /// Plays a clip under a policy, unless it is another one than that of its runs in `file`.
+    /// Plays a clip under a policy and judges what the node found. Keeps the clip in memory for the next policy.
+    ///
+    /// # Errors
+    /// When the clip is another one than that of its runs in `file`, or cannot be read or played.
     async fn play(
         &mut self,
         of: &MeasuredClip,
@@ -471,8 +480,8 @@ impl Measuring<'_> {
         if of.is_traced {
             run.traces.clone_from(&played.traces);
         }
-        let first = player.warm_up_frames();
         run.unlabelled = clip.unlabelled() as u64;
+        let first = player.warm_up_frames();
         let evaluated = self.truth.classes();
         let boxes = played.judged_boxes(first, clip.frames, evaluated, &mut self.left_out);
         let truth = Truth {
@@ -485,7 +494,8 @@ impl Measuring<'_> {
         Ok(run)
     }
 
-    /// Reads a clip into memory and makes its player.
+    /// Reads a clip into memory and makes its player. Tells and notes which of its pictures are unusable, and tells how
+    /// many frames are labelled.
     async fn load(
         &mut self,
         of: &MeasuredClip,
@@ -507,14 +517,19 @@ impl Measuring<'_> {
         if arguments.paced {
             check_pace(frames, rate, WITHOUT_PACE)?;
         }
-        // What is left out was reported before the first run.
-        let report = &mut LoadReport::default();
-        let clip = with_truth(&mut self.truth, &of.name, size, frames, self.alone, report)?;
+        let mut report = LoadReport::default();
+        let truth = &mut self.truth;
+        let clip = with_truth(truth, &of.name, size, frames, self.alone, &mut report)?;
         let unlabelled = clip.unlabelled();
-        // Of other clips it was said before the first run.
-        if of.content.is_none() && unlabelled > 0 {
-            let frames = labelled(clip.frames - unlabelled, clip.frames);
-            tell(&format!("{}: {frames}", of.name));
+        // Of clips that are no videos all this was said before the first run.
+        if of.content.is_none() {
+            for line in report.lines() {
+                tell(&format!("{}: {line}", of.name));
+            }
+            if unlabelled > 0 {
+                let sentence = labelled(clip.frames - unlabelled, clip.frames);
+                tell(&format!("{}: {sentence}", of.name));
+            }
         }
         let player = Player {
             config: self.config.clone(),
@@ -536,9 +551,8 @@ mod tests {
     use albireo_core::geometry::{Corners, PictureSize};
     use albireo_eval::boxes::ScoredBox;
 
-    #[test]
-    fn the_same_labels_have_one_digest_in_any_order_and_other_labels_have_another() {
-        let object = |x: f64, number: u64| ScoredBox {
+    fn object(x: f64, number: u64) -> ScoredBox {
+        ScoredBox {
             corners: Corners {
                 x1: x,
                 y1: 0.0,
@@ -548,17 +562,26 @@ mod tests {
             class: ClassId(2),
             confidence: 1.0,
             object: Some(number),
-        };
-        let content = |frames: [Vec<ScoredBox>; 2]| {
-            let mut clip = Clip::new("a".to_owned(), PictureSize::new(64, 48), 2);
-            clip.truth = Some(frames.into());
-            content_of(&clip)
-        };
+        }
+    }
+
+    /// The content of a clip with these labels.
+    fn content(frames: [Vec<ScoredBox>; 2]) -> String {
+        let mut clip = Clip::new("a".to_owned(), PictureSize::new(64, 48), 2);
+        clip.truth = Some(frames.into());
+        content_of(&clip)
+    }
+
+    #[test]
+    fn the_same_labels_have_one_digest_in_any_order() {
         let labels = content([vec![object(1.0, 0), object(5.0, 1)], vec![]]);
-        assert_eq!(
-            labels,
-            content([vec![object(5.0, 7), object(1.0, 3)], vec![]])
-        );
+        let reordered = content([vec![object(5.0, 7), object(1.0, 3)], vec![]]);
+        assert_eq!(labels, reordered);
+    }
+
+    #[test]
+    fn a_box_at_another_place_or_in_another_frame_changes_the_digest() {
+        let labels = content([vec![object(1.0, 0), object(5.0, 1)], vec![]]);
         for other in [
             [vec![object(1.0, 0), object(5.5, 1)], vec![]],
             [vec![object(1.0, 0)], vec![object(5.0, 1)]],

@@ -19,7 +19,8 @@ Examples:
   albireo eval join results/thor/albireo/yolo26x/summary.csv
       the rows that the paper's authors published, as its main table has them")]
 pub(super) struct JoinArguments {
-    /// Files of `albireo eval board` (.jsonl) or folders of them, or summary.csv files of the paper's published results.
+    /// Files of `albireo eval board` (.jsonl) or folders of them, or summary.csv files of the paper's published
+    /// results.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// Write join.html, join.txt, policies.csv, clips.csv, power.csv, settings.csv and the figures here.
@@ -43,9 +44,10 @@ pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
         );
         setups.push(found);
     }
-    let text = render(&setups, terminal::WIDTH);
-    // Before it is printed: whoever reads the output may close it, which ends the program.
+    // The files are written before anything is printed: whoever reads the output may close it, which ends the program.
     if let Some(folder) = &arguments.out {
+        // In files the tables have one width, whatever the terminal.
+        let text = render(&setups, terminal::WIDTH);
         write(folder, &setups, &text)?;
     }
     print!("{}", render(&setups, terminal::width()));

@@ -29,8 +29,8 @@ pub(super) struct SettingsArguments {
     /// [default: --confidence for detected boxes, half of it for predicted ones].
     #[arg(long, help_heading = JUDGED)]
     pub report_confidence: Option<f64>,
-    /// How boxes are judged where the ground truth marks crowds, distractors or ignored regions [default: benchmark; paper with
-    /// --profile reference].
+    /// How boxes are judged where the ground truth marks crowds, distractors or ignored regions [default: benchmark;
+    /// paper with --profile reference].
     #[arg(long, help_heading = JUDGED, value_enum)]
     pub rules: Option<Rules>,
     /// Judge every class by itself instead of all as one.
@@ -109,13 +109,25 @@ mod tests {
         settings: SettingsArguments,
     }
 
+    fn parsed(arguments: &[&str]) -> Settings {
+        Command::parse_from(arguments).settings.settings()
+    }
+
     #[test]
     fn without_arguments_the_settings_are_the_defaults() {
-        let parsed = |arguments: &[&str]| Command::parse_from(arguments).settings.settings();
         let none = parsed(&["eval"]);
         assert_eq!(format!("{none:?}"), format!("{:?}", Settings::default()));
-        let set = parsed(&["eval", "--per-class", "--coco-interpolation"]);
+    }
+
+    #[test]
+    fn per_class_judges_every_class_by_itself() {
+        let set = parsed(&["eval", "--per-class"]);
         assert_eq!(set.classes, Classes::Separate);
+    }
+
+    #[test]
+    fn coco_interpolation_takes_cocos_recall_levels() {
+        let set = parsed(&["eval", "--coco-interpolation"]);
         assert_eq!(set.interpolation, Interpolation::Coco101);
     }
 }

@@ -1,6 +1,6 @@
 //! Talks to a hub or a node over HTTP.
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
 use reqwest::header::ACCEPT;
 use reqwest::{Method, RequestBuilder, Response, Url};
 use serde::Serialize;
@@ -60,13 +60,12 @@ impl Client {
     }
 
     async fn send(&self, request: RequestBuilder) -> anyhow::Result<Response> {
-        let response = request.send().await.map_err(|error| {
-            let base = &self.base;
-            if error.is_connect() {
-                return anyhow!("{base} cannot be reached: {}", self.remedy);
-            }
-            anyhow!("{base} gave no answer: {}", error.without_url())
-        })?;
+        let base = &self.base;
+        let response = match request.send().await {
+            Ok(response) => response,
+            Err(error) if error.is_connect() => bail!("{base} cannot be reached: {}", self.remedy),
+            Err(error) => bail!("{base} gave no answer: {}", error.without_url()),
+        };
         let status = response.status();
         if status.is_success() {
             return Ok(response);
@@ -74,7 +73,7 @@ impl Client {
         let problem: Value = response.json().await.unwrap_or_default();
         match problem["detail"].as_str() {
             Some(detail) => bail!("{detail}"),
-            None => bail!("{} answers {status}; is it a hub or a node?", self.base),
+            None => bail!("{base} answers {status}; is it a hub or a node?"),
         }
     }
 
@@ -115,27 +114,34 @@ impl Client {
         self.send(request.timeout(ANSWER_WITHIN)).await
     }
 
-    /// Sends `body` by PUT and passes each line of the answer to `line` as it arrives.
+    /// Sends `body` by PUT and passes each line of the answer to `take` as it arrives.
     pub(super) async fn put_lines<T: DeserializeOwned>(
         &self,
         path: &str,
         body: &impl Serialize,
-        mut line: impl FnMut(T) -> anyhow::Result<()>,
+        mut take: impl FnMut(T) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         let request = self
             .request(Method::PUT, path, &[])?
             .header(ACCEPT, "application/x-ndjson")
             .json(body);
         let mut answer = self.send(request).await?;
+        let mut take_line = |line: &[u8]| {
+            let value =
+                serde_json::from_slice(line).context("a line of the answer cannot be read")?;
+            take(value)
+        };
         let mut unread = Vec::new();
         while let Some(bytes) = answer.chunk().await.context("the connection to the hub broke")? {
             unread.extend_from_slice(&bytes);
             while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
-                let text: Vec<u8> = unread.drain(..=end).collect();
-                let read =
-                    serde_json::from_slice(&text).context("a line of the answer cannot be read")?;
-                line(read)?;
+                let line: Vec<u8> = unread.drain(..=end).collect();
+                take_line(&line)?;
             }
+        }
+        // A proxy may have taken the end of the last line.
+        if !unread.trim_ascii().is_empty() {
+            take_line(&unread)?;
         }
         Ok(())
     }

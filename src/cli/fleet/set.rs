@@ -9,6 +9,7 @@ use albireo_hub::tuning::desired::NodeSetting;
 use albireo_hub::tuning::outcome::Outcome;
 use albireo_hub::tuning::tuner::Drift;
 use albireo_wire::{DesiredSetting, Threshold};
+use anyhow::ensure;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -36,18 +37,24 @@ pub(super) async fn give(
     value: Value,
     arguments: GiveArguments,
 ) -> anyhow::Result<Ended> {
-    let (path, to) = if let Some(number) = value.as_f64() {
-        let to = DesiredSetting::Threshold(Threshold::new(name, number));
-        ("/api/v1/threshold", Some(to))
-    } else {
+    let number = value.as_f64();
+    let path = match number {
+        Some(_) => "/api/v1/threshold",
+        None => "/api/v1/target",
+    };
+    let to = match number {
+        Some(number) => Some(DesiredSetting::Threshold(Threshold::new(name, number))),
         // The hub refuses what is no target.
-        let to = serde_json::from_value(json!({ "target": value })).ok();
-        ("/api/v1/target", to)
+        None => serde_json::from_value(json!({ "target": value })).ok(),
     };
     let mut body = serde_json::to_value(arguments)?;
+    ensure!(
+        body.get(name).is_none(),
+        "no policy has a threshold `{name}`"
+    );
     body[name] = value;
     let mut last = None;
-    let print = |line: OutcomeLine| {
+    let print_and_keep_last = |line: OutcomeLine| {
         if context.json {
             println!("{}", serde_json::to_string(&line)?);
         } else {
@@ -58,7 +65,7 @@ pub(super) async fn give(
         }
         Ok(())
     };
-    context.client.put_lines(path, &body, print).await?;
+    context.client.put_lines(path, &body, print_and_keep_last).await?;
     Ok(judge(last.as_ref()))
 }
 

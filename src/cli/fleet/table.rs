@@ -2,8 +2,8 @@
 
 use crate::cli::terminal::width;
 
-/// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as wide
-/// as its widest cell; the last one is cut if the line is too long: cut, a row is read; wrapped, the rows are not.
+/// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as
+/// wide as its widest cell. A line that is too long is cut, because rows that wrap cannot be read.
 pub(super) fn table<const N: usize>(
     headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
@@ -13,7 +13,9 @@ pub(super) fn table<const N: usize>(
     let headings: Vec<&str> = headings.split('|').collect();
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
-    lines.extend(rows.into_iter().map(|row| row.map(clean).into()));
+    for row in rows {
+        lines.push(Vec::from(row.map(clean)));
+    }
     let mut widths = vec![0; headings.len()];
     for line in &lines {
         for (width, cell) in widths.iter_mut().zip(line) {
@@ -26,11 +28,12 @@ pub(super) fn table<const N: usize>(
         let mut cells = Vec::new();
         for (column, cell) in line.iter().enumerate() {
             let width = widths[column];
-            cells.push(if headings[column].starts_with('>') {
+            let aligned = if headings[column].starts_with('>') {
                 format!("{cell:>width$}")
             } else {
                 format!("{cell:<width$}")
-            });
+            };
+            cells.push(aligned);
         }
         text += &cut(cells.join("  ").trim_end(), longest);
         text.push('\n');
@@ -53,18 +56,23 @@ mod tests {
     use super::*;
     use crate::cli::terminal::WIDTH;
 
+    fn row(node: &str, u: &str, why: &str) -> [String; 3] {
+        [node, u, why].map(str::to_owned)
+    }
+
     #[test]
-    fn a_table_is_aligned_and_never_wider_than_a_hundred_columns() {
-        let row = |node: &str, u: &str, why: &str| [node, u, why].map(str::to_owned);
-        let rows = [
-            row("cam-1", "5e-4", "x"),
-            row("bus-100", "0.01", &"long\n".repeat(40)),
-        ];
-        let text = table("node|>u|why", rows);
+    fn the_columns_of_a_table_are_aligned() {
+        let rows = [row("cam-1", "5e-4", "x"), row("bus-100", "0.01", "y")];
+        let expected = "node        u  why\ncam-1    5e-4  x\nbus-100  0.01  y\n";
+        assert_eq!(table("node|>u|why", rows), expected);
+    }
+
+    #[test]
+    fn a_row_is_one_line_of_at_most_a_hundred_columns() {
+        let long = row("bus-100", "0.01", &"long\n".repeat(40));
+        let text = table("node|>u|why", [long]);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines[0], "node        u  why");
-        assert_eq!(lines[1], "cam-1    5e-4  x");
-        assert_eq!(lines.len(), 3);
+        assert_eq!(lines.len(), 2);
         assert!(lines.iter().all(|line| line.chars().count() <= WIDTH));
     }
 }

@@ -20,15 +20,17 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
         }
     }
     match number.trim().parse::<f64>() {
-        Ok(number) if number >= 0.0 && number.is_finite() => Ok(number * unit),
+        Ok(count) if count >= 0.0 && (count * unit).is_finite() => Ok(count * unit),
         _ => Err(format!("`{text}` is not a time such as 90s, 30m, 2h or 7d")),
     }
 }
 
 /// Reads a number that JSON can hold.
 pub(super) fn finite(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|number: &f64| number.is_finite());
-    number.ok_or_else(|| format!("`{text}` is not a number"))
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err(format!("`{text}` is not a number")),
+    }
 }
 
 /// Formats the age of a time, which is in milliseconds since the Unix epoch: `12 s`, `5 min`, `3 h`, `8 d`.
@@ -86,7 +88,8 @@ pub(super) fn span(seconds: i64) -> String {
     }
 }
 
-/// Formats a figure with four significant digits: `0.5512`, `123.4`, `4.1e-5`.
+/// Formats a figure with four significant digits, or all that stand before the point: `0.5512`, `123.4`, `98765`. Very
+/// small and very large ones have three and an exponent: `4.12e-5`.
 pub(super) fn figure(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {
@@ -119,7 +122,8 @@ pub(super) fn setting(setting: &DesiredSetting) -> String {
     }
 }
 
-/// Reads a target as JSON for a hub: `skip_rate=0.5`, `{"skip_rate": 0.5}`, or `off`, which is null.
+/// Reads a target as JSON for a hub: `skip_rate=0.5`, `{"skip_rate": 0.5}`, `{"target": {"skip_rate": 0.5}}`, or `off`,
+/// which is null.
 pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
     const FORMS: &str =
         "write NAME=VALUE with recall, skip_rate or watts, for instance skip_rate=0.5; or off";
@@ -132,10 +136,7 @@ pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
         return Ok(value.get("target").cloned().unwrap_or(value));
     }
     let (name, value) = text.split_once('=').ok_or(FORMS)?;
-    let number: f64 = value
-        .trim()
-        .parse()
-        .map_err(|_| format!("`{}` is not a number; {FORMS}", value.trim()))?;
+    let number = finite(value.trim()).map_err(|error| format!("{error}; {FORMS}"))?;
     Ok(serde_json::json!({ name.trim(): number }))
 }
 
@@ -145,7 +146,7 @@ mod tests {
     use albireo_wire::Target;
 
     #[test]
-    fn times_read_as_people_write_them() {
+    fn a_time_is_read_as_people_write_it() {
         for (text, expected) in [
             ("90", 90.0),
             ("90s", 90.0),
@@ -155,41 +156,55 @@ mod tests {
         ] {
             assert_eq!(seconds(text), Ok(expected), "{text}");
         }
-        for wrong in ["", "m", "-1s", "5 weeks", "nan"] {
+    }
+
+    #[test]
+    fn what_is_no_time_is_refused() {
+        for wrong in ["", "m", "-1s", "5 weeks", "nan", "1e305d"] {
             assert!(seconds(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
-    fn figures_keep_four_digits() {
+    fn a_figure_has_four_digits_or_all_before_the_point() {
         for (value, expected) in [
             (0.0, "0"),
             (0.55123, "0.5512"),
             (123.456, "123.5"),
             (98765.4, "98765"),
-            (4.12e-5, "4.12e-5"),
         ] {
             assert_eq!(figure(value), expected);
         }
     }
 
     #[test]
-    fn a_threshold_is_named_unless_it_is_u_and_a_target_is_held() {
-        for (name, value, expected) in [
-            ("u", 5e-4, "5e-4"),
-            ("lambda", 0.3, "lambda 0.3"),
-            ("lambda", 0.2901719359159484, "lambda 0.290172"),
-        ] {
+    fn a_very_small_figure_has_three_digits_and_an_exponent() {
+        assert_eq!(figure(4.12e-5), "4.12e-5");
+    }
+
+    #[test]
+    fn a_threshold_is_named_unless_it_is_u() {
+        for (name, value, expected) in [("u", 5e-4, "5e-4"), ("lambda", 0.3, "lambda 0.3")] {
             let given = DesiredSetting::Threshold(Threshold::new(name, value));
             assert_eq!(setting(&given), expected);
         }
+    }
+
+    #[test]
+    fn a_threshold_is_rounded_to_six_digits() {
+        let given = Threshold::new("lambda", 0.2901719359159484);
+        assert_eq!(threshold(&given), "lambda 0.290172");
+    }
+
+    #[test]
+    fn a_target_is_held() {
         let target = DesiredSetting::Target(Target::named("skip_rate", 0.5));
         assert_eq!(setting(&target), "hold skip_rate 0.5");
         assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
     }
 
     #[test]
-    fn a_target_is_written_as_advise_takes_it_as_json_or_off() {
+    fn a_target_is_read_as_name_and_value_as_json_or_as_off() {
         use serde_json::json;
         for (text, expected) in [
             ("skip_rate=0.5", json!({"skip_rate": 0.5})),
@@ -201,7 +216,18 @@ mod tests {
         ] {
             assert_eq!(target(text), Ok(expected), "{text}");
         }
-        for wrong in ["", "0.5", "recall=much", "{recall}"] {
+    }
+
+    #[test]
+    fn what_is_no_target_is_refused_with_the_form_of_one() {
+        for wrong in [
+            "",
+            "0.5",
+            "recall=much",
+            "recall=nan",
+            "watts=inf",
+            "{recall}",
+        ] {
             let error = target(wrong).unwrap_err();
             assert!(error.contains("NAME=VALUE"), "{wrong}: {error}");
         }

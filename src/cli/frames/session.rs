@@ -16,8 +16,8 @@ const BLOCKED_MICROSECONDS: u64 = 120_000_000;
 const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
 /// Opens a session that connects only to the given endpoints: as a client of `connect` (of `tcp/127.0.0.1:7447` if both
-/// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`; drop the future to give
-/// up.
+/// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`; drop the future to
+/// give up.
 ///
 /// # Errors
 /// When an endpoint is malformed, or cannot be reached or listened on.
@@ -47,19 +47,26 @@ pub async fn open_session(
     ];
     session::set(&mut config, &settings)
         .map_err(|error| anyhow!("Zenoh does not accept {error}"))?;
-    session::attempt(config).await.map_err(|error| {
-        let endpoints = [&connect, listen].concat().join(", ");
-        if let Some(error) = session::not_listening("--listen", &error) {
-            return anyhow!(error);
-        }
-        let reason = if error.starts_with("Unable to connect to any of") {
-            // It repeats the endpoints, and has no reason.
-            String::new()
-        } else {
-            format!(": {error}")
-        };
-        anyhow!("no Zenoh session with {endpoints}{reason}; is the node running, and does it listen there?")
-    })
+    session::attempt(config)
+        .await
+        .map_err(|error| no_session(&error, &connect, listen))
+}
+
+/// Says why there is no session, after Zenoh's `error`, and what to do.
+fn no_session(error: &str, connect: &[String], listen: &[String]) -> anyhow::Error {
+    if let Some(said) = session::not_listening("--listen", error) {
+        return anyhow!(said);
+    }
+    let reason = if error.starts_with("Unable to connect to any of") {
+        // It repeats the endpoints, and has no reason.
+        String::new()
+    } else {
+        format!(": {error}")
+    };
+    let endpoints = [connect, listen].concat().join(", ");
+    anyhow!(
+        "no Zenoh session with {endpoints}{reason}; is the node running, and does it listen there?"
+    )
 }
 
 /// Closes a session.

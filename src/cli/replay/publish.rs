@@ -38,7 +38,8 @@ pub struct PublishOptions {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive or drive of a dashcam]
+    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive or drive
+    /// of a dashcam]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = values::above_zero)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node uses its own time windows
@@ -78,7 +79,8 @@ pub struct Sent {
     pub clips: u64,
     /// The number of frames sent more than one period late: the source or the network was too slow.
     pub behind: u64,
-    /// The number of frames that were sent while no node subscribed to them; a sender that waits for the node loses none.
+    /// The number of frames that were sent while no node subscribed to them; a sender that waits for the node loses
+    /// none.
     pub lost: u64,
     /// The number of frames that the node did not process; known only to a sender that waits for the node.
     pub refused: u64,
@@ -171,8 +173,8 @@ fn start_reading(
     prepared
 }
 
-/// Returns the next picture, or `None` at the end of the source. What is left out before it is said, and counted in
-/// `left_out`.
+/// Returns the next picture, or `None` at the end of the source. Names the files before it that cannot be used on
+/// standard error, and counts them in `left_out`.
 async fn next_picture(
     prepared: &mut mpsc::Receiver<anyhow::Result<ReadItem>>,
     left_out: &mut u64,
@@ -193,6 +195,7 @@ async fn next_picture(
 struct Clips<'a> {
     options: &'a PublishOptions,
     source: String,
+    /// The number of clips begun.
     begun: u64,
     /// The part that the last frame belongs to.
     last: Option<Part>,
@@ -201,25 +204,24 @@ struct Clips<'a> {
 }
 
 impl Clips<'_> {
-    /// Returns the clip of the next frame, which belongs to `part`, `seconds` after the first frame.
+    /// Returns the clip of the next frame, which belongs to `part`, `seconds` after the first frame. Begins a new clip
+    /// with it if the part changes or the last clip is long enough.
     fn next(&mut self, part: Part, seconds: f64) -> Option<String> {
         let options = self.options;
         if options.no_clip {
             return None;
         }
-        let mut is_numbered = options.repeat || options.clip_seconds.is_some();
-        let name = if let Some(name) = &options.clip {
-            // All clips of the source have this name.
-            is_numbered |= part.clip.is_some();
-            name.clone()
-        } else {
-            part.clip.as_ref().unwrap_or(&self.source).clone()
-        };
+        let given = options.clip.as_ref();
+        let name = given.or(part.clip.as_ref()).unwrap_or(&self.source).clone();
+        // All clips of the source have the name that was given.
+        let share_a_name = given.is_some() && part.clip.is_some();
+        let is_numbered = options.repeat || options.clip_seconds.is_some() || share_a_name;
+        let is_other_part = self.last.as_ref() != Some(&part);
         // Frame times have rounding errors, which are below half a millisecond.
-        let is_over = |most: f64| seconds - self.since >= most - 0.0005;
-        let part = Some(part);
-        if self.last != part || options.clip_seconds.is_some_and(is_over) {
-            self.last = part;
+        let reaches = |most: f64| seconds - self.since >= most - 0.0005;
+        let is_over = options.clip_seconds.is_some_and(reaches);
+        if is_other_part || is_over {
+            self.last = Some(part);
             self.since = seconds;
             self.begun += 1;
         }
@@ -306,7 +308,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
 ) -> anyhow::Result<Sent> {
     let rate = options.paced_rate().unwrap_or_else(|| source.rate());
     let period = period(rate)?;
-    // Dropped with the player for any reason, so that the source stops too.
+    // Dropped when this function ends for any reason, so that the source stops too.
     let _stopper = source.stopper();
     let mut clips = Clips {
         options,

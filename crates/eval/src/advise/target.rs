@@ -15,14 +15,12 @@ pub enum Target {
 impl std::str::FromStr for Target {
     type Err = String;
 
-    /// Reads `recall=0.95`.
+    /// Reads `recall=0.95` or `skip_rate=0.5`.
     fn from_str(text: &str) -> Result<Self, String> {
         let form = "write recall=VALUE or skip_rate=VALUE, for instance recall=0.95";
-        let (name, value) = text.split_once('=').ok_or(form)?;
-        let value: f64 = value
-            .trim()
-            .parse()
-            .map_err(|_| format!("`{}` is not a number", value.trim()))?;
+        let (name, number) = text.split_once('=').ok_or(form)?;
+        let number = number.trim();
+        let value: f64 = number.parse().map_err(|_| format!("`{number}` is not a number"))?;
         let target = match name.trim() {
             "recall" => Self::Recall(value),
             "skip_rate" => Self::SkipRate(value),

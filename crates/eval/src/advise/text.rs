@@ -153,9 +153,13 @@ fn checked(held_out: &HeldOut, target: Target) -> String {
 
 /// `24 % [21, 27]`.
 fn percent(estimate: Option<Estimate>) -> String {
-    or_dash(estimate.map(|estimate| {
-        let [value, low, high] = [estimate.value, estimate.low, estimate.high].map(|s| s * 100.0);
-        format!("{value:.0} % [{low:.0}, {high:.0}]")
+    or_dash(estimate.map(|Estimate { value, low, high }| {
+        format!(
+            "{:.0} % [{:.0}, {:.0}]",
+            value * 100.0,
+            low * 100.0,
+            high * 100.0
+        )
     }))
 }
 

@@ -30,26 +30,28 @@ impl AcrossSetups {
     }
 }
 
-/// Names the settings, beside the detector, in which the measured setups differ: their rows are then not alike in all else.
+/// Names the settings, beside the detector, in which the measured setups differ: their rows are then not alike in all
+/// else. `None` if there are none.
 fn differing_settings(setups: &[SetupRuns]) -> Option<String> {
     // The published rows have only the two settings that all have.
-    let measured =
-        || setups.iter().map(|runs| &runs.setup).filter(|setup| setup.settings.len() > 2);
-    let first = measured().next()?;
+    let measured: Vec<&Setup> = setups
+        .iter()
+        .map(|runs| &runs.setup)
+        .filter(|setup| setup.settings.len() > 2)
+        .collect();
+    let (first, others) = measured.split_first()?;
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    for other in measured() {
-        for Differing { key, own, other } in first.differing_settings(other) {
+    for setup in others {
+        for Differing { key, own, other } in first.differing_settings(setup) {
             values.entry(key).or_default().extend([own, other]);
         }
     }
     values.remove("detector.model");
-    let named: Vec<String> = values
-        .into_iter()
-        .map(|(key, values)| {
-            let values: Vec<&str> = values.into_iter().collect();
-            format!("{key} ({})", values.join(", "))
-        })
-        .collect();
+    let mut named = Vec::new();
+    for (key, found) in values {
+        let list = Vec::from_iter(found).join(", ");
+        named.push(format!("{key} ({list})"));
+    }
     if named.is_empty() {
         return None;
     }
@@ -110,8 +112,10 @@ fn without_empty(mut columns: Vec<Column>) -> Vec<Column> {
 
 /// A row for each detector and machine under each policy; none with only one of them.
 fn detectors(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
-    let machine = |runs: &SetupRuns| [&runs.setup.detector, &runs.setup.machine].map(String::clone);
-    let different: BTreeSet<[String; 2]> = setups.iter().map(machine).collect();
+    let mut different = BTreeSet::new();
+    for SetupRuns { setup, .. } in setups {
+        different.insert((&setup.detector, &setup.machine));
+    }
     if different.len() < 2 {
         return None;
     }

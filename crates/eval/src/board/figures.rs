@@ -94,8 +94,8 @@ pub(super) fn figures(
     Ok(figures)
 }
 
-/// The power of the domains `is_drawn` over each clip that has a trace, of the first setup with any: a series for each of
-/// the first `policies` policies and domain.
+/// The power over each clip that has a trace, in the first setup with any. Each of the first `policies` policies,
+/// vanilla before the others, has a series for each domain that `is_drawn` chooses.
 fn traces(
     setups: &[SetupRuns],
     policies: usize,
@@ -144,9 +144,9 @@ struct ClipTrace {
 
 /// Draws a line per series.
 fn powers(ClipTrace { clip, series }: &ClipTrace) -> Result<String, PlotError> {
-    let name = format!("Seconds of {clip}");
+    let words = format!("Seconds of {clip}");
     let seconds = Axis {
-        name: &name,
+        name: &words,
         range: range(
             all_points(series).map(|(seconds, _)| *seconds).chain([0.0]),
             0.02,
@@ -187,7 +187,7 @@ fn points(
 ) -> Vec<Series> {
     let series = |summary: &SetupSummary| {
         let mut points: Vec<_> = summary.policies.iter().filter_map(&point).collect();
-        points.sort_by(|(left, _), (other, _)| left.total_cmp(other));
+        points.sort_by(|(left, _), (right, _)| left.total_cmp(right));
         Series {
             name: summary.title.clone(),
             points,
@@ -330,8 +330,8 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
     series
 }
 
-/// Draws a marker per clip, across the share that `name` describes.
-fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
+/// Draws a marker per clip, across the share that `words` describe.
+fn clips(series: &[Series], words: &str) -> Result<String, PlotError> {
     let across = range(all_points(series).map(|(share, _)| *share), 0.05);
     let change = Axis {
         name: "Change of AP@50, percentage points",
@@ -342,7 +342,7 @@ fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
         label: signed_label,
     };
     let shares = Axis {
-        name,
+        name: words,
         range: across.clone(),
         label: plain_label,
     };

@@ -74,14 +74,16 @@ fn run(row: PublishedRow) -> ClipRun {
         "Adaptive" => "albireo".to_owned(),
         other => other.to_lowercase(),
     };
-    let domains = [
+    let mut domains = BTreeMap::new();
+    for (name, joules) in [
         ("gpu", row.energy_gpu_j),
         ("cpu", row.energy_cpu_j),
         ("io_mem", row.energy_io_j),
-    ];
-    let known = domains
-        .into_iter()
-        .filter_map(|(name, joules)| Some((name.to_owned(), joules?)));
+    ] {
+        if let Some(joules) = joules {
+            domains.insert(name.to_owned(), joules);
+        }
+    }
     ClipRun {
         clip: row.sequence,
         policy,
@@ -97,7 +99,7 @@ fn run(row: PublishedRow) -> ClipRun {
         ap50: row.ap_50,
         map: row.ap_50_95,
         joules: row.energy_j,
-        domains: known.collect(),
+        domains,
         estimated: false,
         energy_of: "the board".to_owned(),
         cpu_s: None,

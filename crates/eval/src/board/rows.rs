@@ -77,16 +77,16 @@ pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
     for SetupRuns { setup, runs } in setups {
         for run in runs {
             for (domain, trace) in &run.traces {
-                rows.extend(trace.iter().map(|[seconds, watts]| {
-                    vec![
+                for [seconds, watts] in trace {
+                    rows.push(vec![
                         ("setup", setup.title()),
                         ("clip", run.clip.clone()),
                         ("policy", run.policy.clone()),
                         ("domain", domain.clone()),
                         ("seconds", seconds.to_string()),
                         ("watts", watts.to_string()),
-                    ]
-                }));
+                    ]);
+                }
             }
         }
     }

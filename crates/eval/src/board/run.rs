@@ -15,14 +15,14 @@ pub struct Setup {
     pub power_mode: String,
     /// The machine's name.
     pub machine: String,
-    /// Everything else that can change a run, by key: versions, digests of the models, and each setting of the node. Empty
-    /// for rows of others.
+    /// Everything else that can change a run, by key: versions, digests of the models, and each setting of the node.
+    /// Published rows have only [`FRAMES`] and [`JUDGED_BY`].
     #[serde(default)]
     pub settings: BTreeMap<String, String>,
 }
 
-/// The setting that tells how frames arrived: `unpaced`, each as soon as the node had taken the last one, or `paced`, at the
-/// clip's rate.
+/// The setting that tells how frames arrived: `unpaced`, each as soon as the node had taken the last one, or `paced`,
+/// at the clip's rate.
 pub const FRAMES: &str = "frames";
 
 /// The setting that tells the layout of the ground truth, and the rules.
@@ -48,27 +48,30 @@ impl Setup {
         self.names().collect::<Vec<_>>().join(", ")
     }
 
-    /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`. Settings tell two setups apart
-    /// only if nothing that names them does.
+    /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`. Settings tell two setups
+    /// apart only if nothing that names them does.
     pub(super) fn change_to(&self, other: &Self) -> String {
         let named = [
             (&self.detector, &other.detector),
             (&self.precision, &other.precision),
             (&self.power_mode, &other.power_mode),
         ];
-        let differing = named.into_iter().filter(|(own, others)| own != others);
-        let mut changes: Vec<String> =
-            differing.map(|(own, others)| format!("{own} → {others}")).collect();
+        let mut changes = Vec::new();
+        for (own, others) in named {
+            if own != others {
+                changes.push(format!("{own} → {others}"));
+            }
+        }
         if changes.is_empty() {
             for Differing { key, own, other } in self.differing_settings(other) {
                 changes.push(format!("{key} {own} → {other}"));
             }
         }
-        let changes = changes.join(", ");
+        let list = changes.join(", ");
         if self.detector == other.detector {
-            format!("{}: {changes}", self.detector)
+            format!("{}: {list}", self.detector)
         } else {
-            changes
+            list
         }
     }
 
@@ -137,7 +140,7 @@ pub struct ClipRun {
     pub clip: String,
     /// The policy's label.
     pub policy: String,
-    /// What the clip was: size and number of its pictures, and a digest of its ground truth. Empty for rows of others.
+    /// What the clip was: size and number of its pictures, and a digest of its ground truth. Empty for published rows.
     #[serde(default)]
     pub content: String,
     /// Frames answered.
@@ -163,8 +166,8 @@ pub struct ClipRun {
     pub ap50: Option<f64>,
     /// mAP@50:95, likewise.
     pub map: Option<f64>,
-    /// Energy of the whole machine or of what its meter covers, joules; absent without a meter or if samples do not cover
-    /// the run.
+    /// Energy of the whole machine or of what its meter covers, joules; absent without a meter or if samples do not
+    /// cover the run.
     pub joules: Option<f64>,
     /// Energy by domain of the machine, joules.
     #[serde(default)]
@@ -181,10 +184,12 @@ pub struct ClipRun {
     /// Share of the time in which the GPU was busy, 0 to 1; absent where nothing reads it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gpu_utilisation: Option<f64>,
-    /// The most memory that the program held, MB. It is that of all runs' program, which keeps what an earlier run took.
+    /// The most memory that the program held, MB. One program plays all runs: what an earlier run took and was not
+    /// given back is included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_mb: Option<f64>,
-    /// The machine's power every 100 ms, by domain: seconds since the first frame, and watts. Kept of the first two clips.
+    /// The machine's power every 100 ms, by domain: seconds since the first frame, and watts. Kept of the first two
+    /// clips.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub traces: BTreeMap<String, Vec<[f64; 2]>>,
     /// True if the machine reported throttled clocks.
@@ -240,7 +245,8 @@ impl ClipRun {
 
     /// Processor cores that the program kept busy.
     pub fn cores(&self) -> Option<f64> {
-        Some(self.cpu_s? / self.duration_s).filter(|cores| cores.is_finite())
+        let cores = self.cpu_s? / self.duration_s;
+        cores.is_finite().then_some(cores)
     }
 
     /// Energy-delay product by the paper's definition, joules times duration over frames, J·ms/frame.

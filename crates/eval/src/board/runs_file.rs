@@ -1,10 +1,11 @@
-//! Keeps the runs of a setup in a file, one line each, so that a measurement of many hours goes on where it was stopped.
+//! Keeps the runs of a setup in a file, one line each, so that a measurement of many hours goes on where it was
+//! stopped.
 
 use super::published;
 use super::run::{ClipRun, Setup, SetupRuns};
 use crate::error::EvalError;
 use serde::{Deserialize, Serialize};
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -32,8 +33,8 @@ pub struct RunsFile {
 
 impl RunsFile {
     /// Opens the file of `setup` in `folder`, or creates it. A last line that was cut off, because the program or the
-    /// machine stopped while it was written, is removed: its run is played again. With `restart` the runs before are kept
-    /// in a file beside it, and all are played again.
+    /// machine stopped while it was written, is removed: its run is played again. With `restart` the runs before are
+    /// kept in a file beside it, instead of those that an earlier restart kept there, and all are played again.
     ///
     /// # Errors
     /// When the file cannot be read or written, or holds runs of another setup.
@@ -41,25 +42,28 @@ impl RunsFile {
         let path = folder.join(setup.file_name());
         let failed = |error: std::io::Error| EvalError::write(&path, error);
         std::fs::create_dir_all(folder).map_err(failed)?;
-        let mut options = OpenOptions::new();
-        let mut file = options
+        let mut file = OpenOptions::new()
             .create(true)
             .truncate(false)
             .read(true)
             .write(true)
             .open(&path)
             .map_err(failed)?;
-        file.try_lock().map_err(|_| {
-            EvalError::content(
+        file.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => EvalError::content(
                 &path,
                 "another run of this command writes it: stop that one first",
-            )
+            ),
+            TryLockError::Error(error) => failed(error),
         })?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(failed)?;
         if restart && !bytes.is_empty() {
-            let before = folder.join(format!("{}.before", setup.file_name()));
-            std::fs::write(&before, &bytes).map_err(|error| EvalError::write(&before, error))?;
+            let beside = folder.join(format!("{}.before", setup.file_name()));
+            // A restart that was stopped before its first run leaves what the one before it has kept.
+            if bytes.trim_ascii().contains(&b'\n') || !beside.exists() {
+                keep(&beside, &bytes).map_err(|error| EvalError::write(&beside, error))?;
+            }
             bytes.clear();
         }
         let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
@@ -133,25 +137,33 @@ impl RunsFile {
         let mut text =
             serde_json::to_string(line).map_err(|error| EvalError::content(&self.path, error))?;
         text.push('\n');
-        let written = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_data());
-        written.map_err(|error| EvalError::write(&self.path, error))
+        let failed = |error: std::io::Error| EvalError::write(&self.path, error);
+        self.file.write_all(text.as_bytes()).map_err(failed)?;
+        self.file.sync_data().map_err(failed)
     }
 }
 
 impl Drop for RunsFile {
     fn drop(&mut self) {
-        // Closing it would not free the file while a program that is being started, such as ffmpeg, has a copy of the handle. If
-        // this fails, the file is free once they are all closed.
+        // Closing it would not free the file while a program that is being started, such as ffmpeg, has a copy of the
+        // handle. If this fails, the file is free once they are all closed.
         let _ = self.file.unlock();
     }
+}
+
+/// Writes a file that survives a power loss.
+fn keep(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }
 
 /// Parses the lines of a file; `None` if there are none.
 fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
     let mut found: Option<SetupRuns> = None;
-    for (number, line) in (1..).zip(text.lines()) {
+    for (number, json) in (1..).zip(text.lines()) {
         let wrong = |what: String| EvalError::line(path, number, what);
-        let line = serde_json::from_str::<Line>(line)
+        let line = serde_json::from_str::<Line>(json)
             .map_err(|_| wrong("this is not a line of `albireo eval board`".to_owned()))?;
         match line {
             Line::Setup { .. } if found.is_some() => {
@@ -207,7 +219,8 @@ pub fn files_of(named: &[PathBuf]) -> Result<Vec<PathBuf>, EvalError> {
     Ok(all)
 }
 
-/// Reads a file of `albireo eval board`, or the published rows of the paper (CSV). A last line that was cut off is left out.
+/// Reads a file of `albireo eval board`, or the published rows of the paper (CSV). A last line that was cut off is left
+/// out.
 ///
 /// # Errors
 /// When the file cannot be read, is neither, or has no run.

@@ -163,9 +163,11 @@ impl SetupSummary {
         let figures = |policy: &PolicyFigures| Some((policy.ap50?, policy.edp?));
         let known: Vec<(f64, f64)> = self.policies.iter().filter_map(figures).collect();
         let is_best = |(ap50, edp): (f64, f64)| {
-            !known.iter().any(|(other, less)| {
-                (*other >= ap50 && *less < edp) || (*other > ap50 && *less <= edp)
-            })
+            let is_beaten = known.iter().any(|(other_ap50, other_edp)| {
+                (*other_ap50 >= ap50 && *other_edp < edp)
+                    || (*other_ap50 > ap50 && *other_edp <= edp)
+            });
+            !is_beaten
         };
         self.policies
             .iter()
@@ -182,21 +184,23 @@ struct Pair {
 
 /// Compares runs with the baseline's on the same clips; `None` if there are no such clips.
 fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Changes> {
-    let pairs: Vec<(&ClipRun, &ClipRun)> = runs
-        .iter()
-        .filter_map(|run| Some((*run, *baseline.get(run.clip.as_str())?)))
-        .collect();
+    let mut pairs: Vec<(&ClipRun, &ClipRun)> = Vec::new();
+    for run in runs {
+        if let Some(before) = baseline.get(run.clip.as_str()) {
+            pairs.push((*run, *before));
+        }
+    }
     if pairs.is_empty() {
         return None;
     }
     let both = |figure: &dyn Fn(&ClipRun) -> Option<f64>| -> Vec<Pair> {
-        let pairs = pairs.iter().filter_map(|(run, before)| {
+        let known = pairs.iter().filter_map(|(run, before)| {
             Some(Pair {
                 own: figure(run)?,
                 before: figure(before)?,
             })
         });
-        pairs.collect()
+        known.collect()
     };
     let points = |pairs: &[Pair]| {
         let differences: Vec<f64> =
@@ -211,11 +215,13 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
     let ap50 = both(&|run| run.ap50);
     let joules = both(&|run| run.joules);
     let times = both(&|run| Some(run.frame_ms));
+    // Of the same clips as the joules.
+    let times_of_joules = both(&|run| run.joules.and(Some(run.frame_ms)));
     let edp = |figure: fn(&Pair) -> f64| {
-        Some(mean(joules.iter().map(figure))? * mean(times.iter().map(figure))?)
+        Some(mean(joules.iter().map(figure))? * mean(times_of_joules.iter().map(figure))?)
     };
     let edps = edp(|pair| pair.own).zip(edp(|pair| pair.before));
-    let one_if_saved = |pair: &Pair| f64::from(u8::from(pair.own < pair.before));
+    let one_if_saved = |pair: &Pair| if pair.own < pair.before { 1.0 } else { 0.0 };
     Some(Changes {
         map: points(&both(&|run| run.map)),
         joules: percent(&joules),
@@ -257,13 +263,14 @@ pub(super) struct Composition {
     pub together: f64,
     /// `1 − (1 − skipping)(1 − other)`.
     pub expected: f64,
-    /// How much more joules both together use than the product says: a factor with its 95 % interval (geometric mean over
-    /// the clips, paired t of the logarithms).
+    /// How much more joules both together use than the product says: a factor with its 95 % interval (geometric mean
+    /// over the clips, paired t of the logarithms).
     pub factor: f64,
     pub interval: Option<[f64; 2]>,
 }
 
-/// Compares each pair of setups of one machine, in both of which a policy and the baseline were measured on the same clips.
+/// Compares each pair of setups of one machine, in both of which a policy and the baseline were measured on the same
+/// clips.
 pub(super) fn compositions(setups: &[SetupRuns]) -> Vec<Composition> {
     let mut found = Vec::new();
     for from in setups {
@@ -326,13 +333,16 @@ fn joules_of_clips(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Vec<ClipJo
 
 fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition> {
     let clips = joules_of_clips(from, to, policy);
-    let total = |figure: fn(&ClipJoules) -> f64| clips.iter().map(figure).sum::<f64>();
-    let base = total(|clip| clip.base);
-    let saving = |figure: fn(&ClipJoules) -> f64| 1.0 - total(figure) / base;
-    // The savings start at the setup that uses more without skipping.
-    if clips.is_empty() || total(|clip| clip.other) >= base {
+    if clips.is_empty() {
         return None;
     }
+    let total = |figure: fn(&ClipJoules) -> f64| clips.iter().map(figure).sum::<f64>();
+    let base = total(|clip| clip.base);
+    // The savings start at the setup that uses more without skipping.
+    if total(|clip| clip.other) >= base {
+        return None;
+    }
+    let saving = |figure: fn(&ClipJoules) -> f64| 1.0 - total(figure) / base;
     let logs: Vec<f64> = clips
         .iter()
         .map(|clip| {

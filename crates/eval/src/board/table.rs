@@ -68,7 +68,7 @@ struct OwnTables {
     has_domains: bool,
 }
 
-/// Names what the paper has and there are no runs for, and what it needs.
+/// Names each table or figure of the paper that has no rows, and what it needs; `None` if all have rows.
 fn without_rows(
     setups: &[SetupRuns],
     summaries: &[SetupSummary],
@@ -126,11 +126,12 @@ fn without_rows(
             "whether savings multiply: a file of another precision, power mode or detector on the same machine",
         ),
     ];
-    let missing = needs
-        .iter()
-        .filter(|(is_there, _)| !is_there)
-        .map(|(_, what)| format!("{what}."));
-    let notes: Vec<String> = missing.collect();
+    let mut notes = Vec::new();
+    for (is_there, what) in needs {
+        if !is_there {
+            notes.push(format!("{what}."));
+        }
+    }
     if notes.is_empty() {
         return None;
     }
@@ -184,19 +185,22 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
             percent(row.states[place])
         }));
     }
-    columns.push(column("CPU", "cores", rows, |row| {
-        or_dash(row.cores.map(|cores| format!("{cores:.2}")))
-    }));
-    columns.push(column("GPU", "%", rows, |row| {
-        whole(row.gpu_utilisation.map(|share| share * 100.0))
-    }));
-    columns.push(column("memory", "MB", rows, |row| whole(row.memory_mb)));
-    // The last three are read by the system, and not everywhere.
-    let unread: Vec<String> = columns[columns.len() - 3..]
+    // These are not read everywhere.
+    let of_system = [
+        column("CPU", "cores", rows, |row| {
+            or_dash(row.cores.map(|cores| format!("{cores:.2}")))
+        }),
+        column("GPU", "%", rows, |row| {
+            whole(row.gpu_utilisation.map(|share| share * 100.0))
+        }),
+        column("memory", "MB", rows, |row| whole(row.memory_mb)),
+    ];
+    let unread: Vec<String> = of_system
         .iter()
         .filter(|column| column.cells.iter().all(|cell| cell == "-"))
         .map(|column| column.heads[0].clone())
         .collect();
+    columns.extend(of_system);
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().map(|row| row.clips).max().unwrap_or_default();
     let mut notes = vec![
@@ -222,12 +226,14 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     }
     notes.extend(cautions(rows, clips));
     let settings = &setup.setup.settings;
-    let how = [FRAMES, JUDGED_BY]
-        .into_iter()
-        .filter_map(|name| Some(format!("; {name} {}", settings.get(name)?)))
-        .collect::<String>();
+    let mut title = format!("{}: {}", summary.title, counted(clips, "clip"));
+    for name in [FRAMES, JUDGED_BY] {
+        if let Some(value) = settings.get(name) {
+            title.push_str(&format!("; {name} {value}"));
+        }
+    }
     JoinedTable {
-        title: format!("{}: {}{how}", summary.title, counted(clips, "clip")),
+        title,
         columns,
         notes,
     }
@@ -296,7 +302,7 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     ];
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().filter_map(|(_, change)| Some(change.ap50?.clips)).max();
-    let notes = rows.iter().flat_map(|(row, change)| sentence(row, change)).collect();
+    let notes = rows.iter().filter_map(|(row, change)| sentence(row, change)).collect();
     let with_truth = match clips {
         Some(clips) => format!(", {} with ground truth", counted(clips, "clip")),
         None => String::new(),
@@ -308,7 +314,8 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     })
 }
 
-/// `albireo: less energy on 89 % of the clips; AP@50 as good or better on 144 of 200 clips, median drop of the others 1.7 points.`
+/// `albireo: less energy on 89 % of the clips; AP@50 as good or better on 144 of 200 clips, median drop of the others
+/// 1.7 points.`
 fn sentence(row: &PolicyFigures, change: &Changes) -> Option<String> {
     let mut parts = Vec::new();
     if let Some(share) = change.clips_that_save {
@@ -389,21 +396,22 @@ fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
     })
 }
 
-/// Energy by domain; none if the machine has no domains.
+/// Energy by domain; none if the machine has fewer than two domains.
 fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows = &summary.policies;
     let mut names: Vec<&String> = rows.iter().flat_map(|row| row.domains.keys()).collect();
     names.sort();
     names.dedup();
-    let mut columns = vec![named(rows)];
-    columns.extend(names.iter().map(|name| {
-        column(name, "J", rows, |row| {
-            one_decimal(row.domains.get(*name).copied())
-        })
-    }));
     // A single one says no more than the total.
-    if names.len() < 2 {
+    let parts = names.iter().filter(|name| *name != &"total");
+    if parts.count() < 2 {
         return None;
+    }
+    let mut columns = vec![named(rows)];
+    for name in names {
+        columns.push(column(name, "J", rows, |row| {
+            one_decimal(row.domains.get(name).copied())
+        }));
     }
     Some(JoinedTable {
         title: format!("Energy by domain: {}", summary.title),

@@ -116,7 +116,9 @@ fn the_power_of_a_traced_clip_is_drawn_with_a_line_for_each_policy() {
 fn changed(key: &str, value: Option<&str>) -> Setup {
     let mut changed = setup();
     changed.settings.remove(key);
-    changed.settings.extend(value.map(|value| (key.to_owned(), value.to_owned())));
+    if let Some(value) = value {
+        changed.settings.insert(key.to_owned(), value.to_owned());
+    }
     changed
 }
 
@@ -143,13 +145,18 @@ fn runs_with_other_settings_are_not_added_to_a_file() {
             assert!(refused.contains(words), "{refused}");
         }
     }
-    // Another precision has a file of its own.
-    let half = Setup {
+}
+
+#[test]
+fn another_precision_has_a_file_of_its_own() {
+    let other = Setup {
         precision: "fp32".to_owned(),
         ..setup()
     };
-    assert_ne!(half.file_name(), setup().file_name());
-    drop(opened(folder.path(), &half).unwrap());
+    assert_ne!(other.file_name(), setup().file_name());
+    let folder = tempfile::tempdir().unwrap();
+    drop(opened(folder.path(), &setup()).unwrap());
+    drop(opened(folder.path(), &other).unwrap());
 }
 
 #[test]
@@ -170,6 +177,22 @@ fn a_restart_keeps_the_runs_before_in_a_file_beside() {
         before
     );
     drop(opened(folder.path(), &other).unwrap());
+}
+
+#[test]
+fn a_restart_that_was_stopped_before_its_first_run_leaves_the_runs_that_were_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut file = opened(folder.path(), &setup()).unwrap();
+    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
+    let path = file.path().to_owned();
+    drop(file);
+    let before = fs::read(&path).unwrap();
+    for _ in 0..2 {
+        let restart = true;
+        drop(RunsFile::open(folder.path(), &setup(), restart).unwrap());
+    }
+    let kept = fs::read(path.with_extension("jsonl.before")).unwrap();
+    assert_eq!(kept, before);
 }
 
 #[test]
@@ -276,13 +299,18 @@ fn a_run_has_the_gpus_utilisation_of_its_report_and_none_where_nothing_read_it()
     assert_eq!(utilisation(None), None);
 }
 
-#[test]
-fn tables_without_rows_say_what_they_need() {
+/// The text for one run, under vanilla.
+fn text_of_one_run() -> String {
     let alone = SetupRuns {
         setup: setup(),
         runs: vec![run("a", BASELINE, 10.0, 0.5)],
     };
-    let text = render(std::slice::from_ref(&alone), WIDTH);
+    render(&[alone], WIDTH)
+}
+
+#[test]
+fn tables_without_rows_say_what_they_need() {
+    let text = text_of_one_run();
     let missing = text.split_once("No rows").unwrap().1;
     for what in [
         "sweep:",
@@ -295,6 +323,11 @@ fn tables_without_rows_say_what_they_need() {
     ] {
         assert!(missing.contains(what), "{what}: {text}");
     }
+}
+
+#[test]
+fn a_utilisation_that_nothing_read_is_named() {
+    let text = text_of_one_run();
     let unread = "Not read: utilisation or use of GPU.";
     assert!(text.contains(unread), "{text}");
 }
@@ -360,7 +393,7 @@ fn setups_that_differ_in_a_setting_are_not_compared_in_silence() {
 }
 
 #[test]
-fn each_table_of_the_paper_has_its_rows_in_order() {
+fn each_table_of_the_paper_has_rows() {
     let text = render(&three_setups(), WIDTH);
     for what in [
         "Sweep: yolo, fp16, MAXN, board",
@@ -376,18 +409,28 @@ fn each_table_of_the_paper_has_its_rows_in_order() {
     for missing in ["No rows", "Not read"] {
         assert!(!text.contains(missing), "{text}");
     }
-    let lines: Vec<&str> = text.lines().collect();
-    assert!(
-        lines.iter().all(|line| line.chars().count() <= 100),
-        "{text}"
-    );
-    let place = |start: &str| lines.iter().position(|line| line.starts_with(start)).unwrap();
-    let low = place("albireo u = 3e-4");
-    let high = place("albireo u = 3e-3");
+    let fits = |line: &str| line.chars().count() <= WIDTH;
+    assert!(text.lines().all(fits), "{text}");
+}
+
+/// The place of the first line that begins with `start`.
+fn place(text: &str, start: &str) -> usize {
+    text.lines().position(|line| line.starts_with(start)).unwrap()
+}
+
+#[test]
+fn a_sweep_has_the_settings_of_a_policy_in_order() {
+    let text = render(&three_setups(), WIDTH);
+    let low = place(&text, "albireo u = 3e-4");
+    let high = place(&text, "albireo u = 3e-3");
     assert_eq!(low + 1, high, "{text}");
-    // The modes of a policy are beside each other.
-    let modes = &lines[place("Power modes") + 1..];
-    let mut of_vanilla = modes.iter().filter(|line| line.contains("vanilla"));
+}
+
+#[test]
+fn the_power_modes_of_a_policy_are_beside_each_other_in_the_order_of_the_files() {
+    let text = render(&three_setups(), WIDTH);
+    let modes = text.lines().skip(place(&text, "Power modes") + 1);
+    let mut of_vanilla = modes.filter(|line| line.contains("vanilla"));
     assert!(of_vanilla.next().unwrap().contains("MAXN"), "{text}");
     assert!(of_vanilla.next().unwrap().contains("15W"), "{text}");
 }
@@ -510,21 +553,24 @@ fn the_published_rows_are_written_as_page_tables_and_figures() {
 }
 
 #[test]
-fn a_folder_stands_for_its_files_of_runs_and_one_without_says_what_is_expected() {
+fn a_folder_without_files_of_runs_says_what_is_expected() {
     let folder = tempfile::tempdir().unwrap();
-    let place = folder.path().to_owned();
-    let error = files_of(std::slice::from_ref(&place)).unwrap_err().to_string();
+    let error = files_of(&[folder.path().to_owned()]).unwrap_err().to_string();
     let expected = format!(
         "{}: this is a folder, and it has no .jsonl file; give files",
-        place.display()
+        folder.path().display()
     );
     assert!(error.starts_with(&expected), "{error}");
-    let [one, other] = ["b.jsonl", "a.jsonl"].map(|name| place.join(name));
-    for file in [&one, &other, &place.join("a.jsonl.before")] {
+}
+
+#[test]
+fn a_folder_stands_for_its_files_of_runs_in_the_order_of_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = folder.path().join("a.jsonl");
+    let second = folder.path().join("b.jsonl");
+    for file in [&second, &first, &folder.path().join("a.jsonl.before")] {
         fs::write(file, "").unwrap();
     }
-    assert_eq!(
-        files_of(&[place, one.clone()]).unwrap(),
-        [other, one.clone(), one]
-    );
+    let found = files_of(&[folder.path().to_owned(), second.clone()]).unwrap();
+    assert_eq!(found, [first, second.clone(), second]);
 }

@@ -29,23 +29,22 @@ pub struct Agreement {
 pub struct ClassNumbers(BTreeMap<String, u16>);
 
 impl ClassNumbers {
-    /// Converts the boxes of a message to boxes that can be judged.
+    /// Converts the boxes of a message to boxes that can be judged, and numbers their classes that are new.
     pub fn boxes(&mut self, message: &DetectionsMessage) -> Vec<ScoredBox> {
-        message
-            .boxes
-            .iter()
-            .map(|found| {
-                let [x1, y1, x2, y2] = found.corners.map(f64::from);
-                ScoredBox {
-                    corners: Corners { x1, y1, x2, y2 },
-                    class: self.number(&found.class),
-                    confidence: f64::from(found.confidence),
-                    object: None,
-                }
-            })
-            .collect()
+        let mut boxes = Vec::new();
+        for found in &message.boxes {
+            let [x1, y1, x2, y2] = found.corners.map(f64::from);
+            boxes.push(ScoredBox {
+                corners: Corners { x1, y1, x2, y2 },
+                class: self.number(&found.class),
+                confidence: f64::from(found.confidence),
+                object: None,
+            });
+        }
+        boxes
     }
 
+    /// The number of a class; a name that is new gets the next one.
     fn number(&mut self, name: &str) -> ClassId {
         let next = u16::try_from(self.0.len()).unwrap_or(u16::MAX);
         ClassId(*self.0.entry(name.to_owned()).or_insert(next))
@@ -72,8 +71,8 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
     })
 }
 
-/// Judges the boxes of each frame by ground truth, as a user sees them: a frame that was not answered has no box. `None` if
-/// the truth has no object.
+/// Judges the boxes of each frame by ground truth, as a user sees them: a frame that was not answered has no box.
+/// `None` if the truth has no object.
 pub fn agreement_with_truth(boxes: &[Vec<ScoredBox>], truth: Truth<'_>) -> Option<Agreement> {
     let judged = accuracy(boxes, truth, Classes::Pooled, Interpolation::AllPoints)?;
     Some(Agreement {
@@ -99,18 +98,26 @@ mod tests {
         }
     }
 
-    #[test]
-    fn identical_boxes_agree_fully_and_shifted_ones_by_their_overlap() {
-        let reference: Boxes = [
+    fn three_boxes() -> Boxes {
+        [
             (0, vec![at(0.0, 0.9), at(50.0, 0.8)]),
             (1, vec![at(0.0, 0.9)]),
         ]
-        .into();
+        .into()
+    }
+
+    #[test]
+    fn identical_boxes_agree_fully() {
+        let reference = three_boxes();
         let same = agreement(&reference, &reference).unwrap();
         assert_eq!(same, full(2));
-        // Of three boxes one is missed, and one of the two given is far off.
+    }
+
+    #[test]
+    fn a_box_that_matches_none_costs_precision_and_a_missed_one_recall() {
+        // One of the two matches, and two of the three are missed.
         let other: Boxes = [(0, vec![at(1.0, 0.9), at(80.0, 0.5)]), (1, vec![])].into();
-        let found = agreement(&other, &reference).unwrap();
+        let found = agreement(&other, &three_boxes()).unwrap();
         assert_eq!(found.precision, 0.5);
         assert!((found.recall - 1.0 / 3.0).abs() < 1e-12);
         assert_eq!(found.frames, 2);

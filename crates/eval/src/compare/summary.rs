@@ -241,12 +241,13 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
     })
 }
 
-/// Returns the lowest quality of all runs: one estimate among measurements makes the whole an estimate.
+/// Returns the least reliable quality of all runs: one estimate among measurements makes the whole an estimate.
 fn quality(runs: &[Run]) -> EnergyQuality {
     let quality_of = |run: &Run| match run.report.energy.joules {
         Some(_) => run.report.energy.quality,
         None => EnergyQuality::Unavailable,
     };
+    // They are ordered from the most to the least reliable.
     runs.iter().map(quality_of).max().unwrap_or_default()
 }
 

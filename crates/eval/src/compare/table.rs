@@ -4,7 +4,7 @@ use super::run::{Comparison, TruthSize};
 use super::schedule::schedule;
 use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use super::verdict::verdicts;
-use crate::text::{Column, fitted, or_dash, wrapped};
+use crate::text::{Column, counted, fitted, or_dash, wrapped};
 use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use std::fmt::Write;
 
@@ -48,9 +48,8 @@ pub fn render(comparison: &Comparison, summary: &Summary, width: usize) -> Strin
         text: String::new(),
         width,
     };
-    for paragraph in [heading(comparison, summary), energy(summary)] {
-        text.paragraph(&paragraph);
-    }
+    text.paragraph(&heading(comparison, summary));
+    text.paragraph(&energy(summary));
     let rounds = summary.rounds;
     let interval = if rounds > 1 {
         format!("Mean of {rounds} runs ± half of its 95 % confidence interval")
@@ -63,14 +62,14 @@ pub fn render(comparison: &Comparison, summary: &Summary, width: usize) -> Strin
         EnergyQuality::Estimated => "ESTIMATED",
         EnergyQuality::Unavailable => "",
     };
-    let mut columns = Vec::new();
+    let mut costs = Vec::new();
     if summary.energy != EnergyQuality::Unavailable {
-        columns.extend([
+        costs.extend([
             FigureColumn::new(Figure::Joules, "energy", "J").with_note(quality),
             FigureColumn::new(Figure::Edp, "EDP", "J·ms/frame").with_note(quality),
         ]);
     }
-    columns.extend([
+    costs.extend([
         FigureColumn::new(Figure::CpuSeconds, "CPU time", "s"),
         FigureColumn::new(Figure::FrameMilliseconds, "frame time", "ms"),
         FigureColumn::new(Figure::DetectorCalls, "detector calls", ""),
@@ -79,13 +78,13 @@ pub fn render(comparison: &Comparison, summary: &Summary, width: usize) -> Strin
         let scale = if is_share(figure) { 100.0 } else { 1.0 };
         policy.mean(figure).map(|found| mean(found, scale))
     };
-    text.table(&interval, &summary.policies, &columns, means);
+    text.table(&interval, &summary.policies, &costs, means);
 
     let first = summary.policies.first().map_or("", |first| &first.policy);
-    let title = format!("Change against {first}: mean of the differences within a round");
+    let against = format!("Change against {first}: mean of the differences within a round");
     let changes = |policy: &VariantSummary, figure| policy.change(figure).map(change);
     // Changes are in percent, whatever the figure's unit.
-    let changed: Vec<_> = columns
+    let changed: Vec<_> = costs
         .iter()
         .map(|column| FigureColumn {
             unit: "",
@@ -93,29 +92,28 @@ pub fn render(comparison: &Comparison, summary: &Summary, width: usize) -> Strin
         })
         .collect();
     let others = summary.policies.get(1..).unwrap_or_default();
-    text.table(&title, others, &changed, changes);
+    text.table(&against, others, &changed, changes);
 
-    let of = comparison.policies.get(comparison.boxes_of);
-    let title = format!(
+    let reference = comparison.policies.get(comparison.boxes_of);
+    let agreement = format!(
         "Boxes against those of {} (IoU 0.5, frames that both answered), and frames",
-        of.map_or("", String::as_str)
+        reference.map_or("", String::as_str)
     );
-    let columns = [
+    let boxes = [
         FigureColumn::new(Figure::Ap50, "AP@50", "%"),
         FigureColumn::new(Figure::Precision, "precision", "%"),
         FigureColumn::new(Figure::Recall, "recall", "%"),
         FigureColumn::new(Figure::SkipRate, "skip rate", "%"),
         FigureColumn::new(Figure::Dropped, "frames dropped", ""),
     ];
-    text.table(&title, &summary.policies, &columns, means);
+    text.table(&agreement, &summary.policies, &boxes, means);
     if let Some(truth) = comparison.playing.truth {
-        let columns = [
+        let by_truth = [
             FigureColumn::new(Figure::TruthAp50, "AP@50", "%"),
             FigureColumn::new(Figure::TruthPrecision, "precision", "%"),
             FigureColumn::new(Figure::TruthRecall, "recall", "%"),
         ];
-        let title = truth_heading(truth);
-        text.table(&title, &summary.policies, &columns, means);
+        text.table(&truth_heading(truth), &summary.policies, &by_truth, means);
     }
     for verdict in verdicts(comparison, summary) {
         text.paragraph(&verdict.sentence);
@@ -137,7 +135,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
             names.map(String::as_str).collect::<Vec<_>>().join(", ")
         })
         .collect();
-    let more = if summary.rounds > 1 {
+    let more = if summary.rounds > 2 {
         ", and so on"
     } else {
         ""
@@ -208,9 +206,8 @@ fn energy(summary: &Summary) -> String {
     if summary.throttled_runs > 0 {
         let _ = write!(
             text,
-            " In {} runs clocks were held back by heat or power: rest longer with --cool-down, or cool the \
-             board.",
-            summary.throttled_runs
+            " In {} clocks were held back by heat or power: rest longer with --cool-down, or cool the board.",
+            counted(summary.throttled_runs, "run")
         );
     }
     text
@@ -223,7 +220,7 @@ impl Text {
         self.text.push_str("\n\n");
     }
 
-    /// Adds a table with its title, a line for each policy, and an empty line.
+    /// Adds a table with its title, a line for each policy, and an empty line; nothing without policies.
     fn table(
         &mut self,
         title: &str,
@@ -236,11 +233,11 @@ impl Text {
         }
         let names = policies.iter().map(|policy| cut(&policy.policy)).collect();
         let mut table = vec![Column::new(["policy", ""], names)];
-        table.extend(columns.iter().map(|column| {
+        for column in columns {
             let cells = policies.iter().map(|policy| or_dash(cell(policy, column.figure)));
             let head = format!("{} {}", column.name, column.unit);
-            Column::new([head.trim_end(), column.note], cells.collect())
-        }));
+            table.push(Column::new([head.trim_end(), column.note], cells.collect()));
+        }
         self.text.push_str(&wrapped(title, self.width));
         self.text.push('\n');
         self.text.push_str(&fitted(&table, "  ", self.width));
@@ -299,7 +296,8 @@ fn change(change: Change) -> String {
 
 /// The number of decimals that show two significant digits of `scale`, at most three.
 fn decimals(scale: f64) -> usize {
-    (1.0 - scale.abs().log10().floor()).clamp(0.0, 3.0) as usize
+    let digits = 1.0 - scale.abs().log10().floor();
+    digits.clamp(0.0, 3.0) as usize
 }
 
 fn exact(value: f64) -> String {

@@ -4,9 +4,9 @@ use crate::error::EvalError;
 use crate::spec::{Base, PolicySpec, Sweep, pause_label, swept};
 use albireo_core::policy::{Albireo, EmptyRoad, Policy};
 
-/// Returns the variants of `asked` (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions. A policy
-/// with the threshold `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
-/// as in `base`.
+/// Returns the variants of `asked` (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions. A
+/// policy with the threshold `u` and without an argument of its own occurs once for each value of `thresholds`;
+/// everything else is as in `base`.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, a value out of range, values of `u` that no policy takes, or
@@ -69,8 +69,12 @@ mod tests {
         let found = labels(&asked, &[3e-4, 5e-4]).unwrap().join(", ");
         let expected = "vanilla, albireo u=3e-4, albireo u=5e-4, albireo u=1e-3";
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_policy_is_labelled_with_its_own_argument() {
         let found = labels(&["vanilla", "fixed-skip:3"], &[]).unwrap();
-        assert_eq!(found[1], "fixed-skip n=3");
+        assert_eq!(found, ["vanilla", "fixed-skip n=3"]);
     }
 
     #[test]

@@ -21,12 +21,12 @@ pub(super) struct Verdict {
     pub detector_calls_percent: Option<f64>,
     /// AP@50 of its boxes against those of the policy that runs the detector on every frame, 0 to 1.
     pub ap50: Option<f64>,
-    /// Kilowatt-hours per year that a camera saves if every hour is like this clip; negative if it costs more. `None` if
-    /// a run has no energy, if there is one round only, or if the clip was not played at its own rate.
+    /// Kilowatt-hours per year that a camera saves if every hour is like this clip; negative if it costs more. `None`
+    /// if a run has no energy, if there is one round only, or if the clip was not played at its own rate.
     pub kwh_a_year: Option<Mean>,
     /// The quality of the energy figures.
     pub energy: EnergyQuality,
-    /// True if it skipped at least one frame.
+    /// True if it skipped at least one frame, or if nobody knows.
     pub skips: bool,
     /// The frames of all rounds that its node did not process: without them it had less work.
     pub dropped: u64,
@@ -144,7 +144,7 @@ fn sentence(
     format!("{name}: {}.", parts.join(", "))
 }
 
-/// Describes the change of energy.
+/// Describes the change of energy; `None` if the energy is known, but not its change.
 fn energy(summary: &Summary, policy: &VariantSummary, verdict: &Verdict) -> Option<String> {
     let source = &summary.energy_source;
     let basis = match summary.energy {
@@ -163,7 +163,7 @@ fn energy(summary: &Summary, policy: &VariantSummary, verdict: &Verdict) -> Opti
             summary.rounds
         ));
     }
-    let word = |value: f64| if value < 0.0 { "more" } else { "saved" };
+    let word = |saved: f64| if saved < 0.0 { "more" } else { "saved" };
     Some(match verdict.kwh_a_year {
         Some(kwh) => format!(
             "{} kWh for a year like this clip {} ({basis})",
@@ -231,11 +231,16 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_within_its_interval_is_not_clear() {
+    fn a_difference_in_energy_within_its_interval_is_not_clear() {
         let policies = ["vanilla", "expected-loss lambda=0.3"];
         let lines = sentences(&comparison(&policies, rounds([80.0, 79.9], 39).collect()));
         let said = "no clear difference in energy in 3 rounds";
         assert!(lines[0].contains(said), "{lines:?}");
+    }
+
+    #[test]
+    fn a_difference_in_detector_calls_within_its_interval_is_not_clear() {
+        let policies = ["vanilla", "expected-loss lambda=0.3"];
         let calls = [(100, 20), (100, 95), (100, 85)];
         let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
             [run(round, 0, first, None), run(round, 1, own, None)]
@@ -276,14 +281,14 @@ mod tests {
 
     #[test]
     fn one_round_or_an_unpaced_clip_gives_no_yearly_figure() {
-        let runs = |rounds: usize| {
+        let played = |rounds: usize| {
             let runs = (0..rounds).flat_map(|number| round(number, [80.0, 60.0], 40));
             comparison(&["vanilla", "albireo u=5e-4"], runs.collect())
         };
-        let mut unpaced = runs(2);
+        let mut unpaced = played(2);
         assert!(sentences(&unpaced)[0].contains("year"));
         unpaced.playing.played_rate = None;
-        for comparison in [unpaced, runs(1)] {
+        for comparison in [unpaced, played(1)] {
             let lines = sentences(&comparison);
             assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
             assert!(!lines[0].contains("year"), "{lines:?}");

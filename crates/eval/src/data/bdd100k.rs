@@ -4,13 +4,13 @@
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
 //! of predictions has the same form and a `score` in each label.
 //!
-//! Labels with a gap, a frame that they do not list although they list one behind it, are of some frames only: what they do
-//! not list is not judged. A frame that is listed without labels has no objects. Labels that name pictures and no video, as those of the paper's authors, need not list
-//! the last ones, either.
+//! Labels with a gap, a frame that they do not list although they list one behind it, are of some frames only: what
+//! they do not list is not judged. A frame that is listed without labels has no objects. Labels that name pictures and
+//! no video, as those of the paper's authors, need not list the last ones, either.
 //!
-//! Crowds, labels with the attribute `ignored`, and the categories "other person", "other vehicle" and "trailer" are regions
-//! in which boxes are not judged, as in BDD100K's own evaluation and TrackEval's. The paper's evaluator makes no exception:
-//! under [`Rules::Paper`] crowds are ground truth like any other box.
+//! Crowds, labels with the attribute `ignored`, and the categories "other person", "other vehicle" and "trailer" are
+//! regions in which boxes are not judged, as in BDD100K's own evaluation and TrackEval's. The paper's evaluator makes
+//! no exception: under [`Rules::Paper`] crowds are ground truth like any other box.
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
@@ -64,16 +64,15 @@ const DISTRACTORS: [&str; 3] = ["other person", "other vehicle", "trailer"];
 impl Label {
     /// True if boxes at this label are not judged.
     fn is_region(&self, rules: Rules) -> bool {
+        if rules == Rules::Paper {
+            return false;
+        }
+        let is_true = |value: &serde_json::Value| value == true || value.as_str() == Some("true");
         let is_set = |name: &str| {
-            self.attributes.iter().flatten().any(|(key, value)| {
-                key.eq_ignore_ascii_case(name)
-                    && (value == true || value.as_str().is_some_and(|text| text == "true"))
-            })
+            let mut attributes = self.attributes.iter().flatten();
+            attributes.any(|(key, value)| key.eq_ignore_ascii_case(name) && is_true(value))
         };
-        rules == Rules::Benchmark
-            && (is_set("crowd")
-                || is_set("ignored")
-                || DISTRACTORS.contains(&self.category.as_str()))
+        is_set("crowd") || is_set("ignored") || DISTRACTORS.contains(&self.category.as_str())
     }
 }
 
@@ -155,7 +154,8 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
             if truth.values().all(|labelled| labelled.is_by_name) {
                 clip.places = truth.keys().copied().collect();
             }
-            if truth.len() < length(Some(&truth)) {
+            let has_gap = truth.len() < length(Some(&truth));
+            if has_gap {
                 for unlisted in (0..frames).filter(|frame| !truth.contains_key(frame)) {
                     clip.ignore(unlisted, Ignored::UNLABELLED);
                 }
@@ -280,7 +280,8 @@ impl Reading<'_> {
             let corners = Corners { x1, y1, x2, y2 };
             let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
             if kind == Kind::Truth && label.is_region(self.rules) {
-                let region = report.mark(corners, None, Mark::Region, self.picture, place);
+                let any_class = None;
+                let region = report.mark(corners, any_class, Mark::Region, self.picture, place);
                 read.regions.extend(region);
                 continue;
             }
@@ -306,23 +307,16 @@ struct FramePlace {
 }
 
 impl Frame {
-    /// Finds the place of the frame. A file that names neither video nor index, such as the label file of the paper's authors,
-    /// has them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
+    /// Finds the place of the frame. A file that names neither video nor index, such as the label file of the paper's
+    /// authors, has them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one
+    /// video.
     fn place(&self, file_stem: &str, position: usize) -> FramePlace {
-        let of_picture = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
-        let by_name = of_picture.rsplit_once('-').and_then(|(video, digits)| {
-            if digits.len() != 7 {
-                return None;
-            }
-            let number: usize = digits.parse().ok()?;
-            Some((video, number.checked_sub(1)?))
-        });
         if self.video.is_none()
-            && let Some((video, number)) = by_name
+            && let Some((video, index)) = self.place_by_name()
         {
             return FramePlace {
                 video: video.to_owned(),
-                index: self.index.unwrap_or(number),
+                index: self.index.unwrap_or(index),
                 is_by_name: self.index.is_none(),
             };
         }
@@ -331,6 +325,17 @@ impl Frame {
             index: self.index.unwrap_or(position),
             is_by_name: false,
         }
+    }
+
+    /// The video and the index that the name of its picture says, if it says them.
+    fn place_by_name(&self) -> Option<(&str, usize)> {
+        let stem = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
+        let (video, digits) = stem.rsplit_once('-')?;
+        if digits.len() != 7 {
+            return None;
+        }
+        let number: usize = digits.parse().ok()?;
+        Some((video, number.checked_sub(1)?))
     }
 }
 

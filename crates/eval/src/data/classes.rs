@@ -1,7 +1,8 @@
 //! Defines the classes that are evaluated, and maps the names of data sets to them.
 //!
 //! The paper evaluates the classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six
-//! classes, with COCO's numbers counted from 0. A model with other classes is evaluated with its own, under its numbers.
+//! classes, with COCO's numbers counted from 0. A model with other classes is evaluated with its own, under its
+//! numbers.
 
 use super::LeftOut;
 use crate::error::EvalError;
@@ -37,7 +38,7 @@ const OTHERS_OF_BDD100K: [&str; 6] = [
     "trailer",
 ];
 
-/// The most classes that an error names of the ground truth, and of the model; or clips.
+/// The most names of classes or clips that an error lists in a row.
 pub(super) const MOST_NAMED: usize = 8;
 
 /// The classes that a run evaluates.
@@ -51,8 +52,8 @@ pub enum Evaluated {
 }
 
 impl Evaluated {
-    /// Returns what is evaluated of a model without ground truth: its own classes, except that a model with COCO's eighty, or
-    /// with no class beside the six, is evaluated with these six.
+    /// Returns what is evaluated of a model without ground truth: its own classes, except that a model with COCO's
+    /// eighty, or with no class beside the six, is evaluated with these six.
     pub fn of_model(names: &[String]) -> Self {
         let named: Vec<&String> = names.iter().filter(|name| !name.is_empty()).collect();
         let are_all_six = !named.is_empty() && named.iter().all(|name| from_name(name).is_ok());
@@ -64,7 +65,7 @@ impl Evaluated {
     }
 
     /// The number of the class that a data set or a model calls `name`. Of a model's own classes it is the one of that
-    /// name, else the one that is the same of the six.
+    /// name, else the first that is the same of the six: `pedestrian` for `person`.
     pub fn find(&self, name: &str) -> Result<ClassId, LeftOut> {
         let Self::Own(names) = self else {
             return from_name(name);
@@ -114,7 +115,7 @@ impl Evaluated {
     }
 }
 
-/// True if `name` is neither a class of BDD100K nor one of another name for it.
+/// True if `name` is neither a class of BDD100K nor another name of one.
 pub(super) fn is_foreign_to_bdd100k(name: &str) -> bool {
     from_name(name).is_err() && !OTHERS_OF_BDD100K.contains(&name)
 }
@@ -174,26 +175,42 @@ pub(crate) fn from_visdrone(number: i64) -> Result<ClassId, LeftOut> {
 mod tests {
     use super::*;
 
+    fn of_model(names: &[&str]) -> Evaluated {
+        let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+        Evaluated::of_model(&names)
+    }
+
     #[test]
-    fn a_model_of_one_s_own_is_evaluated_with_its_classes_and_coco_s_with_six() {
-        let named = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
-        assert_eq!(
-            Evaluated::of_model(&named(&["car", "rider", "bus"])),
-            Evaluated::Road
-        );
-        let own = Evaluated::of_model(&named(&["helmet", "Vest", "pedestrian"]));
+    fn a_model_with_no_class_beside_the_six_is_evaluated_with_the_six() {
+        assert_eq!(of_model(&["car", "rider", "bus"]), Evaluated::Road);
+    }
+
+    #[test]
+    fn the_classes_of_ones_own_model_are_found_by_their_names_or_as_the_same_of_the_six() {
+        let own = of_model(&["helmet", "Vest", "pedestrian"]);
         let found = ["helmet", "vest", "person", "car"].map(|name| own.find(name).ok());
         assert_eq!(
             found,
             [Some(ClassId(0)), Some(ClassId(1)), Some(ClassId(2)), None]
         );
+    }
+
+    #[test]
+    fn a_class_is_called_by_its_name_or_else_by_its_number() {
+        let own = of_model(&["helmet", "Vest"]);
         assert_eq!(own.name(ClassId(1)), "Vest");
-        assert_eq!(Evaluated::Road.name(CAR), "car");
         assert_eq!(own.name(ClassId(9)), "class 9");
+        assert_eq!(Evaluated::Road.name(CAR), "car");
     }
 
     #[test]
     fn pedestrian_and_rider_are_both_mapped_to_person() {
+        assert_eq!(from_name("pedestrian"), Ok(PERSON));
+        assert_eq!(from_name("rider"), Ok(PERSON));
+    }
+
+    #[test]
+    fn the_seven_classes_of_bdd100k_are_mapped_to_six() {
         let mapped: std::collections::BTreeSet<u16> = albireo_core::detection::BDD100K_CLASSES
             .iter()
             .map(|name| match from_name(name) {
@@ -202,7 +219,10 @@ mod tests {
             })
             .collect();
         assert_eq!(mapped.len(), 6);
-        assert_eq!(from_name("rider"), from_name("pedestrian"));
+    }
+
+    #[test]
+    fn a_class_that_is_not_evaluated_is_not_mapped() {
         assert_eq!(from_name("traffic light"), Err(LeftOut::UnmappedClass));
     }
 }

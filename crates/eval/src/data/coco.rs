@@ -4,12 +4,12 @@
 //! `frame_id`, and otherwise of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 //!
-//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, `frame_id` (`frame_index`) is the
-//! picture's place in it: counted from 1 if the lowest of the whole file is 1, and otherwise from 0.
+//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, `frame_id` (`frame_index`)
+//! is the picture's place in it: counted from 1 if the lowest of the whole file is 1, and otherwise from 0.
 //!
-//! A video with TAO's `neg_category_ids` is labelled for these categories, which do not occur in it, and for those that have boxes
-//! there, except that of its `not_exhaustive_category_ids` only some objects have one. Boxes of all other classes are not judged
-//! in it. A category such as `car_(automobile)` is also found as `car`.
+//! A video with TAO's `neg_category_ids` is labelled for these categories, which do not occur in it, and for those that
+//! have boxes there, except that of its `not_exhaustive_category_ids` only some objects have one. Boxes of all other
+//! classes are not judged in it. A category such as `car_(automobile)` is also found as `car`.
 //!
 //! An annotation with `iscrowd` is a crowd, one with `ignore` an object that is not judged; both as in pycocotools.
 
@@ -110,8 +110,8 @@ struct ListedVideo {
 /// Reads a data set and, if given, a list of results on its images.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, a box on an image that is not listed, or pictures of different sizes within a
-/// clip.
+/// [`EvalError`] for a missing or broken file, a box on an image that is not listed, or pictures of different sizes
+/// within a clip.
 pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError> {
     read_as(dataset, results, &Evaluated::Road)
 }
@@ -158,7 +158,9 @@ pub(super) fn read_as(
         } else {
             None
         };
-        if let (Some(mark), Ok(class)) = (mark, labelled.class) {
+        if let Some(mark) = mark
+            && let Ok(class) = labelled.class
+        {
             let marked = report.mark(labelled.corners, Some(class), mark, clip.picture, entry);
             if let Some(marked) = marked {
                 clip.ignore(place.frame, marked);
@@ -204,14 +206,15 @@ struct KnownCategory<'a> {
 /// The categories by their ids.
 type Categories<'a> = HashMap<u64, KnownCategory<'a>>;
 
-/// The class of a category: by its name, else by the name without the meaning that TAO and LVIS add in brackets.
+/// The class of a category: by its name, else by the name without the meaning that TAO and LVIS add in brackets, and
+/// with spaces for its underscores.
 fn class_of(name: &str, classes: &Evaluated) -> Result<ClassId, LeftOut> {
     let plain = || name.split("_(").next().unwrap_or_default().replace('_', " ");
     classes.find(name).or_else(|_| classes.find(&plain()))
 }
 
-/// Marks in each video that says for which categories it is labelled the whole picture for all other classes, and returns
-/// the number of these videos.
+/// Marks in each video that says for which categories it is labelled the whole picture for all other classes, and
+/// returns the number of these videos.
 fn mark_other_classes(
     set: &Dataset,
     places: &Places,
@@ -226,7 +229,9 @@ fn mark_other_classes(
     }
     let mut clip_of_video = HashMap::new();
     for image in &set.images {
-        if let (Some(video), Some(place)) = (image.video_id, places.get(&image.id)) {
+        if let Some(video) = image.video_id
+            && let Some(place) = places.get(&image.id)
+        {
             clip_of_video.insert(video, place.clip);
         }
     }
@@ -234,14 +239,16 @@ fn mark_other_classes(
     let all: BTreeSet<ClassId> = categories.keys().filter_map(class_by_id).collect();
     let mut limited = 0;
     for video in &set.videos {
-        let (Some(absent), Some(&index)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
-        else {
+        let Some(absent) = &video.neg_category_ids else {
             continue;
         };
-        let mut categories = labelled.remove(&index).unwrap_or_default();
-        categories.extend(absent);
-        categories.retain(|id| !video.not_exhaustive_category_ids.contains(id));
-        let judged: BTreeSet<ClassId> = categories.iter().filter_map(class_by_id).collect();
+        let Some(&index) = clip_of_video.get(&video.id) else {
+            continue;
+        };
+        let mut judged_ids = labelled.remove(&index).unwrap_or_default();
+        judged_ids.extend(absent);
+        judged_ids.retain(|id| !video.not_exhaustive_category_ids.contains(id));
+        let judged: BTreeSet<ClassId> = judged_ids.iter().filter_map(class_by_id).collect();
         let clip = &mut drafts[index];
         let whole_picture = Corners {
             x1: 0.0,
@@ -317,14 +324,10 @@ fn place_of(
     places: &Places,
     path: &Path,
 ) -> Result<Place, EvalError> {
-    places.get(&annotation.image_id).copied().ok_or_else(|| {
-        EvalError::content(
-            path,
-            format!(
-                "entry {number} is on image {}, which is not listed",
-                annotation.image_id
-            ),
-        )
+    let id = annotation.image_id;
+    places.get(&id).copied().ok_or_else(|| {
+        let what = format!("entry {number} is on image {id}, which is not listed");
+        EvalError::content(path, what)
     })
 }
 
@@ -362,14 +365,12 @@ fn frames(
         let picture = PictureSize::new(images[0].width, images[0].height);
         for (frame, image) in images.iter().enumerate() {
             if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
-                return Err(EvalError::content(
-                    path,
-                    format!(
-                        "image {} of clip `{name}` is {}x{}, the clip's first {picture}: all pictures of a \
-                         clip must have the same size, and it must not be zero",
-                        image.id, image.width, image.height
-                    ),
-                ));
+                let what = format!(
+                    "image {} of clip `{name}` is {}x{}, the clip's first {picture}: all pictures of a clip must have \
+                     the same size, and it must not be zero",
+                    image.id, image.width, image.height
+                );
+                return Err(EvalError::content(path, what));
             }
             let clip = clips.len();
             places.insert(image.id, Place { clip, frame });

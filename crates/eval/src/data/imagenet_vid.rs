@@ -1,8 +1,9 @@
 //! Reads ground truth of ImageNet-VID (ILSVRC 2015): a folder of XML files for each clip, one for each labelled frame,
 //! `Annotations/VID/val/<clip>/000000.xml` beside the pictures `Data/VID/val/<clip>/000000.JPEG`.
 //!
-//! A file's name is the frame, counted from 0. A file without an object is a frame without objects; a frame without a file was
-//! not labelled and is not judged. Boxes are corners in pixels from 0. Source: ILSVRC2015 development kit, readme.
+//! A file's name is the frame, counted from 0. A file without an object is a frame without objects; a frame without a
+//! file was not labelled and is not judged. Boxes are corners in pixels from 0. Source: ILSVRC2015 development kit,
+//! readme.
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
@@ -71,9 +72,9 @@ pub(super) fn read_as(folder: &Path, classes: &Evaluated) -> Result<DataSet, Eva
         folders.push(folder.to_owned());
     }
     let mut data = DataSet::default();
-    for folder in folders {
-        let files = list(&folder, &is_label)?;
-        let clip = read_clip(clip_name(&folder), &files, classes, &mut data.report)?;
+    for of_clip in folders {
+        let files = list(&of_clip, &is_label)?;
+        let clip = read_clip(clip_name(&of_clip), &files, classes, &mut data.report)?;
         data.push(clip);
     }
     data.nonempty(
@@ -117,7 +118,9 @@ fn read_clip(
         labels.insert(frame, boxes);
     }
     let frames = labels.last_key_value().map_or(0, |(last, _)| last + 1);
-    let mut clip = Clip::new(name, size.unwrap_or(PictureSize::new(1, 1)), frames);
+    // A clip without files has no frames either, so its size stands for nothing.
+    let picture = size.unwrap_or(PictureSize::new(1, 1));
+    let mut clip = Clip::new(name, picture, frames);
     let mut truth = vec![Vec::new(); frames];
     for (frame, boxes) in truth.iter_mut().enumerate() {
         match labels.remove(&frame) {
@@ -162,6 +165,7 @@ fn labelled_box<'a>(
     let known = CLASSES.iter().find(|(wordnet, name, _)| [*wordnet, *name].contains(&written));
     // A name that the data set does not have can still be a class of the user's own model.
     let (wordnet, name, coco) = known.copied().unwrap_or((written, written, ""));
+    let class = [wordnet, name, coco].into_iter().find_map(|name| classes.find(name).ok());
     let place = child(object, "bndbox", file)?;
     Ok(LabelledBox {
         corners: Corners {
@@ -170,11 +174,7 @@ fn labelled_box<'a>(
             x2: number(place, "xmax", file)?,
             y2: number(place, "ymax", file)?,
         },
-        class: [wordnet, name, coco]
-            .into_iter()
-            .filter(|name| !name.is_empty())
-            .find_map(|name| classes.find(name).ok())
-            .ok_or(LeftOut::UnmappedClass),
+        class: class.ok_or(LeftOut::UnmappedClass),
         class_name: name.into(),
         confidence: TRUTH_CONFIDENCE,
         object: child(object, "trackid", file)?.text().and_then(|id| id.trim().parse().ok()),

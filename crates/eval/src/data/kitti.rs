@@ -62,7 +62,6 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         frames: known_frames,
     };
     let labels = table("label_02");
-    let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");
     let mut truth: Vec<Vec<ScoredBox>> = labels.read(GONE, |row, boxes| {
         if !is_region(row)? {
             let mut object = labelled(row, TRUTH_CONFIDENCE)?;
@@ -74,7 +73,8 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let ignored = labels.read(GONE, |row, regions| {
         if is_region(row)? {
             let corners = labelled(row, TRUTH_CONFIDENCE)?.corners;
-            regions.extend(report.mark(corners, None, Mark::Region, picture, || row.place()));
+            let any_class = None;
+            regions.extend(report.mark(corners, any_class, Mark::Region, picture, || row.place()));
         }
         Ok(())
     })?;
@@ -82,7 +82,8 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let mut detections = None;
     if found.path.exists() {
         let boxes = found.boxes(GONE, picture, report, |row| {
-            labelled(row, row.number(17, "score")?)
+            let confidence = row.number(17, "score")?;
+            labelled(row, confidence)
         })?;
         detections = Some(boxes);
     }
@@ -99,6 +100,11 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         ignored,
         ..Clip::new(name.to_owned(), picture, frames)
     })
+}
+
+/// True for a row of a region in which boxes are not judged.
+fn is_region(row: &Row<'_>) -> Result<bool, EvalError> {
+    Ok(row.text(2, "type")? == "DontCare")
 }
 
 fn labelled<'r>(row: &'r Row<'_>, confidence: f64) -> Result<LabelledBox<'r>, EvalError> {

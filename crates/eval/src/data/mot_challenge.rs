@@ -7,8 +7,8 @@
 //!
 //! The benchmark judges pedestrians. It excuses boxes on people on vehicles, people who stand still, distractors and
 //! reflections, since 2020 also on vehicles without motor, and on no other label, as in TrackEval 1.3.0
-//! (`mot_challenge_2d_box.py`). Cars, bicycles and motorcycles, which its own files mark with 0, are excused for boxes of
-//! their own class; files in this form that mark them with 1 have them judged.
+//! (`mot_challenge_2d_box.py`). Cars, bicycles and motorcycles, which its own files mark with 0, are excused for boxes
+//! of their own class; files in this form that mark them with 1 have them judged.
 
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{GONE, Row, Table};
@@ -40,8 +40,8 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
         })?
     };
     let mut data = DataSet::default();
-    for folder in folders {
-        let clip = read_sequence(&folder, &mut data.report)?;
+    for sequence in folders {
+        let clip = read_sequence(&sequence, &mut data.report)?;
         data.push(clip);
     }
     data.nonempty(
@@ -70,17 +70,16 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
     };
     if labels.path.exists() {
         let with_vehicles = clip.name.contains("MOT20");
-        let rows = labels.read(GONE, |row, rows| {
-            rows.push(label(row, with_vehicles, picture, report)?);
+        let by_frame = labels.read(GONE, |row, lines| {
+            lines.extend(truth_line(row, with_vehicles, picture, report)?);
             Ok(())
         })?;
-        let mut truth = vec![Vec::new(); rows.len()];
-        for (frame, labels) in rows.into_iter().enumerate() {
-            for label in labels {
-                match label {
-                    TruthLine::Object(object) => truth[frame].extend(object),
-                    TruthLine::Marked(Some(marked)) => clip.ignore(frame, marked),
-                    TruthLine::Marked(None) => {}
+        let mut truth = vec![Vec::new(); by_frame.len()];
+        for (frame, lines) in by_frame.into_iter().enumerate() {
+            for line in lines {
+                match line {
+                    TruthLine::Object(object) => truth[frame].push(object),
+                    TruthLine::Marked(marked) => clip.ignore(frame, marked),
                 }
             }
         }
@@ -129,14 +128,14 @@ impl Info {
             |name| name.to_string_lossy().into_owned(),
         );
         Ok(Self {
-            name: values.get("name").map_or(folder_name, |name| (*name).to_owned()),
+            name: values.get("name").map_or(folder_name, |&name| name.to_owned()),
             picture: PictureSize::new(width, height),
             frames: number("seqLength")? as usize,
             frame_rate: values
                 .get("frameRate")
                 .and_then(|rate| rate.parse().ok())
                 .filter(|rate: &f64| rate.is_finite() && *rate > 0.0),
-            pictures: (*values.get("imDir").unwrap_or(&"img1")).to_owned(),
+            pictures: values.get("imDir").copied().unwrap_or("img1").to_owned(),
         })
     }
 }
@@ -152,20 +151,21 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     })
 }
 
-/// A row of ground truth; `None` inside if the row was left out.
+/// A row of ground truth.
 #[derive(Clone)]
 enum TruthLine {
-    Object(Option<ScoredBox>),
-    Marked(Option<Ignored>),
+    Object(ScoredBox),
+    Marked(Ignored),
 }
 
-/// Reads a row of ground truth. `with_vehicles`: vehicles without motor are distractors, too.
-fn label(
+/// Reads a row of ground truth; `None` if it was left out. `with_vehicles`: vehicles without motor are distractors,
+/// too.
+fn truth_line(
     row: &Row<'_>,
     with_vehicles: bool,
     picture: PictureSize,
     report: &mut LoadReport,
-) -> Result<TruthLine, EvalError> {
+) -> Result<Option<TruthLine>, EvalError> {
     let is_judged = row.number::<f64>(6, "consider")? != 0.0;
     // The 2015 release has no classes.
     let number = if row.len() <= 9 {
@@ -176,18 +176,19 @@ fn label(
     let corners = corners(row)?;
     let class = from_mot_challenge(number);
     // Boxes of which class are excused there, and by which rule.
+    let any_class = None;
     let excuse = match (number, class) {
-        (2 | 7 | 8 | 12, _) => Some((None, Mark::Distractor)),
-        (6, _) if with_vehicles => Some((None, Mark::Distractor)),
+        (2 | 7 | 8 | 12, _) => Some((any_class, Mark::Distractor)),
+        (6, _) if with_vehicles => Some((any_class, Mark::Distractor)),
         // Occluders and crowds.
-        (9 | 10 | 11 | 13, _) => Some((None, Mark::Unjudged)),
-        (_, Ok(PERSON)) if !is_judged => Some((None, Mark::Unjudged)),
+        (9 | 10 | 11 | 13, _) => Some((any_class, Mark::Unjudged)),
+        (_, Ok(PERSON)) if !is_judged => Some((any_class, Mark::Unjudged)),
         (_, Ok(class)) if !is_judged => Some((Some(class), Mark::Distractor)),
         _ => None,
     };
     if let Some((class, mark)) = excuse {
         let marked = report.mark(corners, class, mark, picture, || row.place());
-        return Ok(TruthLine::Marked(marked));
+        return Ok(marked.map(TruthLine::Marked));
     }
     let labelled = LabelledBox {
         corners,
@@ -196,9 +197,8 @@ fn label(
         confidence: TRUTH_CONFIDENCE,
         object: row.object(1, "id")?,
     };
-    Ok(TruthLine::Object(
-        report.keep(&labelled, picture, || row.place()),
-    ))
+    let kept = report.keep(&labelled, picture, || row.place());
+    Ok(kept.map(TruthLine::Object))
 }
 
 fn labelled_detection<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {

@@ -5,13 +5,13 @@
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
 //! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects; or
-//!   `frame,x1,y1,x2,y2,class,mark` with the class of the boxes that are not judged there (-1 for any) and the rule: `region`,
-//!   `crowd`, `object`, `distractor` or `unjudged`; `unlabelled` for a whole frame that nobody labelled,
+//!   `frame,x1,y1,x2,y2,class,mark` with the class of the boxes that are not judged there (-1 for any) and the rule:
+//!   `region`, `crowd`, `object`, `distractor` or `unjudged`; `unlabelled` for a whole frame that nobody labelled,
 //! - `screen/<name>.csv`: `frame,empty`, optional: the verdicts of an empty-scene screen (1: nothing is in view,
 //!   0: something is); a frame without a row has no verdict.
 //!
-//! Coordinates are pixels, frames count from 0, and classes are COCO numbers, or those of the names that `sequences.json`
-//! lists (`"class_names": ["helmet", …]`). A sequence whose entry counts ground-truth boxes
+//! Coordinates are pixels, frames count from 0, and classes are COCO numbers, or those of the names that
+//! `sequences.json` lists (`"class_names": ["helmet", …]`). A sequence whose entry counts ground-truth boxes
 //! (`ground_truth_boxes`) must have the file. [`write`] writes the same layout.
 
 use super::classes::Evaluated;
@@ -105,16 +105,16 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
 
 fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {
     let name = &entry.name;
-    let is_plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\']);
-    let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
-    let what = if !is_plain {
+    let names_a_file = name.is_empty() || name.starts_with('.') || name.contains(['/', '\\']);
+    let is_no_rate = |rate: f64| !rate.is_finite() || rate <= 0.0;
+    let what = if names_a_file {
         format!("`{name}` cannot be a sequence's name: it names a file")
     } else if entry.width == 0 || entry.height == 0 {
         format!(
             "the sequence `{name}` has pictures of {}x{} pixels",
             entry.width, entry.height
         )
-    } else if !entry.fps.is_none_or(is_rate) {
+    } else if entry.fps.is_some_and(is_no_rate) {
         format!("the sequence `{name}` has a frame rate that is not positive")
     } else {
         return Ok(());
@@ -224,9 +224,16 @@ fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
     let Some((mark, _)) = MARKS.iter().find(|(_, known)| *known == name) else {
         return Err(row.broken(format!("`mark` is `{name}`, which is no rule")));
     };
-    let class = u16::try_from(row.integer(5, "class")?).ok();
+    let class = match row.integer(5, "class")? {
+        // Boxes of any class.
+        -1 => None,
+        number => match u16::try_from(number) {
+            Ok(number) => Some(ClassId(number)),
+            Err(_) => return Err(row.broken(format!("`class` is {number}, which is no class"))),
+        },
+    };
     Ok(Ignored {
-        class: class.map(ClassId),
+        class,
         mark: *mark,
         ..region
     })
@@ -279,8 +286,8 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
     write_index(folder, clips)
 }
 
-/// Adds the last of `clips` to the others, which were written before: so a pass over many clips that is stopped has kept
-/// those that were done.
+/// Adds the last of `clips` to the others, which were written before: so a pass over many clips that is stopped has
+/// kept those that were done.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -293,10 +300,10 @@ pub fn write_last(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
 
 /// Writes the list of the clips.
 fn write_index(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
-    let own = clips.first().and_then(|clip| match &clip.classes {
-        Evaluated::Own(names) => Some(names.to_vec()),
-        Evaluated::Road => None,
-    });
+    let class_names = match clips.first().map(|clip| &clip.classes) {
+        Some(Evaluated::Own(names)) => names.to_vec(),
+        Some(Evaluated::Road) | None => Vec::new(),
+    };
     let sequences = clips.iter().map(|clip| {
         let truth = clip.truth.as_ref();
         Entry {
@@ -310,17 +317,17 @@ fn write_index(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
         }
     });
     let index = Index {
-        class_names: own.unwrap_or_default(),
+        class_names,
         sequences: sequences.collect(),
     };
     files::write_json(&folder.join("sequences.json"), &index)
 }
 
-/// Writes what a clip has, a table of each kind.
+/// Writes what a clip has, a table of each kind, and removes an earlier run's tables of what it does not have.
 fn write_tables(folder: &Path, clip: &Clip) -> Result<(), EvalError> {
     let replace = |kind: &str, text| replace_file(&table_path(folder, kind, &clip.name), text);
-    let found = clip.detections.as_deref().unwrap_or_default();
-    let detections = formatted(DETECTION_HEADER, found, |found| {
+    let frames = clip.detections.as_deref().unwrap_or_default();
+    let detections = formatted(DETECTION_HEADER, frames, |found| {
         let corners = cells(found.corners);
         format!("{corners},{},{}", found.confidence, found.class.0)
     });
@@ -332,7 +339,10 @@ fn write_tables(folder: &Path, clip: &Clip) -> Result<(), EvalError> {
         })
     });
     replace("groundtruth", truth)?;
-    let ignored = (!clip.ignored.is_empty()).then(|| ignored_table(&clip.ignored));
+    let mut ignored = None;
+    if !clip.ignored.is_empty() {
+        ignored = Some(ignored_table(&clip.ignored));
+    }
     replace("ignore", ignored)?;
     let verdicts = clip.screen.as_deref().map(|verdicts| {
         formatted(SCREEN_HEADER, verdicts, |empty| {
@@ -361,15 +371,15 @@ fn cells(Corners { x1, y1, x2, y2 }: Corners) -> String {
     format!("{x1},{y1},{x2},{y2}")
 }
 
-/// Writes a table, or removes that of an earlier run, which would otherwise be read as this clip's.
+/// Writes a table, or without `text` removes that of an earlier run, which would otherwise be read as this clip's.
 fn replace_file(path: &Path, text: Option<String>) -> Result<(), EvalError> {
-    let Some(text) = text else {
-        return match std::fs::remove_file(path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(EvalError::write(path, error))
-            }
-            _ => Ok(()),
-        };
-    };
-    files::write(path, text)
+    if let Some(text) = text {
+        return files::write(path, text);
+    }
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(EvalError::write(path, error))
+        }
+        _ => Ok(()),
+    }
 }

@@ -120,13 +120,13 @@ impl Table<'_> {
             }
         }
         let columns = self.header.map(|header| header.split(',').count());
-        for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
+        for (number, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let row = Row {
                 path: &self.path,
-                line,
+                line: number,
                 fields: match self.separator {
-                    Some(separator) => text.split(separator).collect(),
-                    None => text.split_whitespace().collect(),
+                    Some(separator) => line.split(separator).collect(),
+                    None => line.split_whitespace().collect(),
                 },
             };
             if let Some(columns) = columns
@@ -153,8 +153,8 @@ impl Table<'_> {
         labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, EvalError>,
     ) -> Result<Vec<Vec<ScoredBox>>, EvalError> {
         self.read(help, |row, boxes| {
-            let labelled = labelled(row)?;
-            if let Some(kept) = report.keep(&labelled, picture, || row.place()) {
+            let read = labelled(row)?;
+            if let Some(kept) = report.keep(&read, picture, || row.place()) {
                 boxes.push(kept);
             }
             Ok(())
@@ -165,7 +165,7 @@ impl Table<'_> {
     fn frame(&self, row: &Row<'_>) -> Result<usize, EvalError> {
         let number = row.integer(0, "frame")?;
         let frames = self.frames.unwrap_or(MAX_FRAMES);
-        if let Ok(frame) = usize::try_from(number - self.first)
+        if let Ok(frame) = usize::try_from(number.saturating_sub(self.first))
             && frame < frames
         {
             return Ok(frame);

@@ -24,18 +24,25 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     }
 }
 
+/// The number of rows and clips that were left out for this reason.
+fn left_out(report: &LoadReport, reason: LeftOut) -> usize {
+    report.left_out.get(&reason).map_or(0, |(count, _)| *count)
+}
+
+/// A clip of one frame, without detections.
+fn undetected(name: &str) -> Clip {
+    Clip::new(name.to_owned(), PictureSize::new(10, 10), 1)
+}
+
 #[test]
-fn clips_without_detections_are_dropped_by_name_or_rejected() {
-    let clip = |name: &str| Clip::new(name.to_owned(), PictureSize::new(10, 10), 1);
-    let truth = Path::new("gt.json");
+fn clips_without_detections_are_left_out_by_name() {
     let mut data = DataSet::default();
-    data.push(clip("b"));
-    assert_refused(data.clone().only_with_detections(truth), &["--detections"]);
+    data.push(undetected("b"));
     data.push(Clip {
         detections: Some(vec![Vec::new()]),
-        ..clip("a")
+        ..undetected("a")
     });
-    let kept = data.only_with_detections(truth).unwrap();
+    let kept = data.only_with_detections(Path::new("gt.json")).unwrap();
     let names: Vec<&str> = kept.clips.iter().map(|clip| clip.name.as_str()).collect();
     assert_eq!(names, ["a"]);
     let lines = kept.report.lines().join("\n");
@@ -44,17 +51,25 @@ fn clips_without_detections_are_dropped_by_name_or_rejected() {
 }
 
 #[test]
+fn data_without_any_detections_is_refused() {
+    let mut data = DataSet::default();
+    data.push(undetected("b"));
+    let truth = Path::new("gt.json");
+    assert_refused(data.only_with_detections(truth), &["--detections"]);
+}
+
+#[test]
 fn clips_with_equal_names_get_different_file_names() {
     let mut data = DataSet::default();
     for name in ["a/b", "a-b", "..", "a-b"] {
-        data.push(Clip::new(name.to_owned(), PictureSize::new(10, 10), 1));
+        data.push(undetected(name));
     }
     let names: Vec<&str> = data.clips.iter().map(|clip| clip.name.as_str()).collect();
     assert_eq!(names, ["a-b", "a-b-2", "-2", "a-b-3"]);
 }
 
 #[test]
-fn a_folder_for_a_coco_file_is_that_of_an_export_or_says_what_is_expected() {
+fn a_folder_without_an_export_in_place_of_a_coco_file_is_refused_with_what_is_expected() {
     let folder = tempfile::tempdir().unwrap();
     let no_results = None;
     let error = coco::read(folder.path(), no_results).unwrap_err().to_string();
@@ -65,10 +80,13 @@ fn a_folder_for_a_coco_file_is_that_of_an_export_or_says_what_is_expected() {
         error.ends_with(&format!("such as {path}/annotations.json")),
         "{error}"
     );
+}
+
+#[test]
+fn the_folder_of_an_export_is_read_as_its_coco_file() {
     let set = r#"{"images": [{"id": 1, "file_name": "a/1.jpg", "width": 64, "height": 48}], "categories": [], "annotations": []}"#;
-    std::fs::write(folder.path().join("annotations.json"), set).unwrap();
-    assert_eq!(
-        coco::read(folder.path(), no_results).unwrap().clips.len(),
-        1
-    );
+    let folder = folder(&[("annotations.json", set)]);
+    let no_results = None;
+    let data = coco::read(folder.path(), no_results).unwrap();
+    assert_eq!(data.clips.len(), 1);
 }

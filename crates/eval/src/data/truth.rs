@@ -73,8 +73,8 @@ impl GroundTruth {
         Self::read_as(paths, format, rules, &Evaluated::Road)
     }
 
-    /// [`read`](Self::read) for a model with the classes `names`: of BDD100K's and the other driving benchmarks' ground truth the
-    /// six of the paper, of COCO's, ImageNet-VID's and of labels of one's own all that both have.
+    /// [`read`](Self::read) for a model with the classes `names`: of BDD100K's and the other driving benchmarks' ground
+    /// truth the six of the paper, of COCO's, ImageNet-VID's and of labels of one's own all that both have.
     ///
     /// # Errors
     /// Like [`read`](Self::read), and when the model has none of its classes.
@@ -105,8 +105,8 @@ impl GroundTruth {
             .flat_map(|report| &report.unmapped_classes)
     }
 
-    /// Evaluates those of the model's classes `names` that it has labels of: a box of another class can be neither right nor
-    /// wrong. Refuses ground truth of which no box has a class of the model.
+    /// Evaluates those of the model's classes `names` that it has labels of: a box of another class can be neither
+    /// right nor wrong. Refuses ground truth of which no box has a class of the model.
     fn of_both(mut self, names: &[String]) -> Result<Self, EvalError> {
         let mut labelled: BTreeSet<usize> = BTreeSet::new();
         for ClipTruth { clip, .. } in self.clips.values() {
@@ -207,12 +207,12 @@ impl GroundTruth {
     /// The frames per second of the clip `name`, if the ground truth knows them; `alone` as for
     /// [`attach_to`](Self::attach_to).
     pub fn rate(&self, name: &str, alone: bool) -> Option<f64> {
-        let found = &self.clips[self.name_of(name, alone)?];
-        found.clip.frame_rate
+        let stored_name = self.name_of(name, alone)?;
+        self.clips[stored_name].clip.frame_rate
     }
 
-    /// The name under which the ground truth of the clip `name` is stored: COCO's files name a clip by its folder and the
-    /// folders before it, `val/drive` or `train/YFCC100M/v_1`.
+    /// The name under which the ground truth of the clip `name` is stored: COCO's files name a clip by its folder and
+    /// the folders before it, `val/drive` or `train/YFCC100M/v_1`.
     fn name_of<'a>(&'a self, name: &'a str, alone: bool) -> Option<&'a str> {
         if self.clips.contains_key(name) {
             return Some(name);
@@ -235,15 +235,17 @@ impl GroundTruth {
     /// Takes what was left out of all files, for a report before any clip has it.
     pub fn take_report(&mut self) -> LoadReport {
         let mut all = LoadReport::default();
-        for report in self.files.iter_mut().filter_map(|file| file.report.take()) {
-            merge(&mut all, report);
+        for file in &mut self.files {
+            if let Some(report) = file.report.take() {
+                merge(&mut all, report);
+            }
         }
         all
     }
 
     /// Gives `clip` the ground truth of its name, if there is any, or the only one there is if it is the only clip
-    /// (`alone`). `whole` is the number of all its pictures, `None` if the clip was cut to its first frames and nobody knows
-    /// it. `report` counts what is left out.
+    /// (`alone`). `whole` is the number of all its pictures, `None` if the clip was cut to its first frames and nobody
+    /// knows it. `report` counts what is left out.
     ///
     /// # Errors
     /// [`EvalError`] when it is for other pictures.
@@ -268,25 +270,26 @@ impl GroundTruth {
             ))
         };
         let pictures = clip.frames + clip.unusable.len();
+        let labels = labels_of(found, self.format, whole).map_err(wrong)?;
         let Some(Labels {
             mut objects,
             mut marks,
-        }) = labels_of(found, self.format, whole).map_err(wrong)?
+        }) = labels
         else {
             return Ok(());
         };
-        // Only these layouts say how many frames they are for; the others end with the last object, or with the last
-        // labelled frame.
         let is_sparse = unlabelled(&marks) > 0
             || !found.places.is_empty()
             || self.format == TruthFormat::ImageNetVid;
-        let counted = !is_sparse
-            && matches!(
-                self.format,
-                TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
-            );
+        // Only these layouts say how many frames they are for; the others end with the last object, or with the last
+        // labelled frame.
+        let says_its_length = matches!(
+            self.format,
+            TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
+        );
         let is_longer = whole.is_some_and(|whole| objects.len() > whole);
-        if is_longer || (counted && objects.len() < pictures) {
+        let is_shorter = says_its_length && !is_sparse && objects.len() < pictures;
+        if is_longer || is_shorter {
             return Err(wrong(format!(
                 "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
                 objects.len(),
@@ -329,8 +332,8 @@ struct Labels {
     marks: Vec<Vec<Ignored>>,
 }
 
-/// The labels of `found`, each at the place of its picture among the `whole` clip's; `None` if there are none. In words, what
-/// they are for, if that cannot be this clip.
+/// The labels of `found`, each at the place of its picture among the `whole` clip's; `None` if there are none. If they
+/// cannot be this clip's, the error says in words what they are for.
 fn labels_of(
     found: &Clip,
     format: TruthFormat,

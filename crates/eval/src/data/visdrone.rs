@@ -1,9 +1,9 @@
 //! Reads ground truth of VisDrone (video object detection and multi-object tracking): `annotations/NAME.txt`, and the
 //! pictures in `sequences/NAME/`.
 //!
-//! Rows are `frame,id,left,top,width,height,score,category,truncation,occlusion`, frames counted from 1 and pixels from 0.
-//! Boxes are not judged in ignored regions (category 0), on objects of no category (11), and on objects whose score is 0.
-//! Source: VisDrone toolkit, readme.
+//! Rows are `frame,id,left,top,width,height,score,category,truncation,occlusion`, frames counted from 1 and pixels
+//! from 0. Boxes are not judged in ignored regions (category 0), on objects of no category (11), and on objects whose
+//! score is 0. Source: VisDrone toolkit, readme.
 
 use super::classes::from_visdrone;
 use super::rows::{GONE, Row, Table};
@@ -16,8 +16,8 @@ use albireo_vision::picture::read_picture_file;
 use std::borrow::Cow;
 use std::path::Path;
 
-/// Reads all sequences of the folder that contains `annotations`. `picture` is the size of sequences whose pictures are not
-/// there.
+/// Reads all sequences of the folder that contains `annotations`. `picture` is the size of sequences whose pictures are
+/// not there.
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line if there is one.
@@ -44,13 +44,13 @@ pub fn read(folder: &Path, picture: PictureSize) -> Result<DataSet, EvalError> {
 fn read_sequence(
     folder: &Path,
     file: &Path,
-    picture: PictureSize,
+    size_without_pictures: PictureSize,
     report: &mut LoadReport,
 ) -> Result<Clip, EvalError> {
     let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let pictures = pictures_in(&folder.join("sequences").join(&name));
     let first = pictures.first().and_then(|first| read_picture_file(first).ok());
-    let picture = first.map_or(picture, |first| first.size);
+    let picture = first.map_or(size_without_pictures, |first| first.size);
     let known_frames = if pictures.is_empty() {
         None
     } else {
@@ -62,11 +62,6 @@ fn read_sequence(
         header: None,
         first: 1,
         frames: known_frames,
-    };
-    let is_judged = |row: &Row<'_>| {
-        let score = row.number::<f64>(6, "score")?;
-        let category = row.integer(7, "category")?;
-        Ok::<_, EvalError>(score != 0.0 && !matches!(category, 0 | 11))
     };
     let truth = table.read(GONE, |row, boxes| {
         if is_judged(row)? {
@@ -84,8 +79,9 @@ fn read_sequence(
     })?;
     let ignored = table.read(GONE, |row, regions| {
         if !is_judged(row)? {
-            let region = report.mark(corners(row)?, None, Mark::Region, picture, || row.place());
-            regions.extend(region);
+            let corners = corners(row)?;
+            let any_class = None;
+            regions.extend(report.mark(corners, any_class, Mark::Region, picture, || row.place()));
         }
         Ok(())
     })?;
@@ -96,6 +92,13 @@ fn read_sequence(
         ignored,
         ..Clip::new(name, picture, frames)
     })
+}
+
+/// True for a row of an object; false for one of a place where boxes are not judged.
+fn is_judged(row: &Row<'_>) -> Result<bool, EvalError> {
+    let score = row.number::<f64>(6, "score")?;
+    let category = row.integer(7, "category")?;
+    Ok(score != 0.0 && !matches!(category, 0 | 11))
 }
 
 /// The data set's names of its categories, from 0.

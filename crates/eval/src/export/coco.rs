@@ -35,11 +35,12 @@ impl Coco {
         }));
         for found in &frame.boxes {
             let [left, top, right, bottom] = found.corners.map(f64::from);
-            let (width, height) = (right - left, bottom - top);
+            let box_width = right - left;
+            let box_height = bottom - top;
             let category = place_of(&mut self.classes, &found.class) + 1;
             let mut annotation = json!({
                 "id": self.annotations.len() + 1, "image_id": id, "category_id": category,
-                "bbox": [left, top, width, height], "area": width * height, "iscrowd": 0,
+                "bbox": [left, top, box_width, box_height], "area": box_width * box_height, "iscrowd": 0,
                 "score": found.confidence,
             });
             if let Some(object) = found.object {

@@ -32,7 +32,7 @@ pub(super) fn read(
         ExportedFrames::Shown => (Topic::Image, Topic::Detections),
     };
     let mut messages = Messages::open(path).map_err(|error| EvalError::content(path, error))?;
-    // The newest picture of each camera: its boxes follow it.
+    // When the newest picture of each camera was recorded, and the picture if it can be read: its boxes follow it.
     let mut pictures = BTreeMap::new();
     let mut incomplete = 0;
     for message in messages.by_ref() {
@@ -43,12 +43,13 @@ pub(super) fn read(
             let picture = picture_in_protobuf(&message.data).ok();
             pictures.insert(camera.to_owned(), (message.time_ns, picture));
         } else if topic == boxes {
-            let mut labelled = None;
-            if let Some((time, Some(picture))) = pictures.remove(camera)
-                && time == message.time_ns
-            {
-                labelled = frame(camera, frames, picture, &message.data);
-            }
+            let newest = pictures.remove(camera);
+            let labelled = match newest {
+                Some((time_ns, Some(picture))) if time_ns == message.time_ns => {
+                    frame(camera, frames, picture, &message.data)
+                }
+                _ => None,
+            };
             match labelled {
                 Some(frame) => each(frame)?,
                 None => incomplete += 1,

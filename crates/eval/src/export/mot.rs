@@ -60,20 +60,26 @@ impl Sequence {
         let file = self.folder.join("img1").join(format!("{number:06}.jpg"));
         write(&file, &frame.picture)?;
         for found in &frame.boxes {
-            let [left, top, right, bottom] = found.corners.map(f64::from);
-            let (width, height) = (right - left, bottom - top);
+            let [x1, y1, x2, y2] = found.corners.map(f64::from);
             // Pixels count from 1.
-            let left = left + 1.0;
-            let top = top + 1.0;
+            let left = x1 + 1.0;
+            let top = y1 + 1.0;
+            let width = x2 - x1;
+            let height = y2 - y1;
             let place = format!("{left:.2},{top:.2},{width:.2},{height:.2}");
-            let row = match (self.frames, found.object) {
-                // The columns of gt.txt; track ids count from 1.
-                (ExportedFrames::Shown, Some(object)) => {
+            let row = match self.frames {
+                // The columns of gt.txt. Track ids count from 1; what a policy without tracks shows has none.
+                ExportedFrames::Shown => {
+                    let track = found
+                        .object
+                        .map_or_else(|| "-1".to_owned(), |object| (object.0 + 1).to_string());
                     let class = self.class(&found.class);
-                    format!("{number},{},{place},1,{class},1", object.0 + 1)
+                    format!("{number},{track},{place},1,{class},1")
                 }
                 // The columns of det.txt: no track, a confidence.
-                _ => format!("{number},-1,{place},{:.4},-1,-1,-1", found.confidence),
+                ExportedFrames::Audit => {
+                    format!("{number},-1,{place},{:.4},-1,-1,-1", found.confidence)
+                }
             };
             self.rows.push_str(&row);
             self.rows.push('\n');

@@ -1,3 +1,5 @@
+use super::frames::LabelledFrame;
+use super::mot::Sequence;
 use super::*;
 use crate::data;
 use crate::data::classes::Evaluated;
@@ -10,6 +12,7 @@ use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
 use bytes::Bytes;
 use serde_json::Value;
 
+/// A box of this class, and of this object if it is tracked.
 fn one(class: &str, object: Option<u64>) -> BoxMessage {
     BoxMessage {
         corners: [1.0, 2.0, 31.0, 42.0],
@@ -21,7 +24,7 @@ fn one(class: &str, object: Option<u64>) -> BoxMessage {
     }
 }
 
-/// Where it is.
+/// Where each box is.
 fn place() -> Corners {
     Corners {
         x1: 1.0,
@@ -37,6 +40,8 @@ fn picture() -> Bytes {
     encoder.encode(&[90; 64 * 48], 64, 48, jpeg_encoder::ColorType::Luma).unwrap();
     file.into()
 }
+
+const UNTRACKED: Option<u64> = None;
 
 /// A recording of four frames, two of which the audit keeps.
 fn recorded(path: &Path) {
@@ -75,7 +80,7 @@ fn recorded_at(path: &Path, times_ms: &[u64]) {
                 width: 64,
                 height: 48,
                 shown: shown.boxes,
-                detected: vec![one("car", None)],
+                detected: vec![one("car", UNTRACKED)],
             };
             file.audited("front", picture(), &audit).unwrap();
         }
@@ -84,7 +89,7 @@ fn recorded_at(path: &Path, times_ms: &[u64]) {
 }
 
 #[test]
-fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
+fn what_the_audit_kept_is_exported_as_coco() {
     let folder = tempfile::tempdir().unwrap();
     recorded(&folder.path().join("a.mcap"));
     recorded(&folder.path().join("b.mcap"));
@@ -115,13 +120,21 @@ fn what_the_audit_kept_is_exported_as_coco_and_read_by_the_evaluation() {
         let file = out.join("images").join(image["file_name"].as_str().unwrap());
         assert_eq!(std::fs::read(file).unwrap(), picture());
     }
+}
 
-    // The evaluation finds the same car on each of the pictures.
+#[test]
+fn an_export_as_coco_is_read_by_the_evaluation_with_the_same_boxes() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded(&folder.path().join("a.mcap"));
+    let files = recordings(folder.path()).unwrap();
+    let out = folder.path().join("out");
+    let audit = ExportedFrames::Audit;
+    export(&files, &out, ExportFormat::Coco, audit, |_| {}).unwrap();
     let no_results = None;
     let read = data::coco::read(&out, no_results).unwrap();
     let truth = read.clips.iter().flat_map(|clip| clip.truth.iter().flatten());
     let boxes: Vec<_> = truth.flatten().collect();
-    assert_eq!(boxes.len(), 4);
+    assert_eq!(boxes.len(), 2);
     let car = Evaluated::Road.find("car").unwrap();
     for found in boxes {
         assert_eq!(found.class, car);
@@ -140,16 +153,20 @@ fn a_folder_with_files_is_not_written_into() {
     assert!(error.to_string().contains("not empty"), "{error}");
 }
 
-#[test]
-fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
-    let folder = tempfile::tempdir().unwrap();
-    recorded(&folder.path().join("a.mcap"));
-    let files = recordings(folder.path()).unwrap();
-    let out = folder.path().join("out");
+/// Exports the frames of one recording in this folder as they were shown, into its folder `out`.
+fn export_as_shown(folder: &Path) -> Exported {
+    recorded(&folder.join("a.mcap"));
+    let files = recordings(folder).unwrap();
+    let out = folder.join("out");
     let shown = ExportedFrames::Shown;
-    let done = export(&files, &out, ExportFormat::Mot, shown, |_| {}).unwrap();
-    assert_eq!(done.pictures, 4);
-    assert_eq!(done.boxes, 8);
+    export(&files, &out, ExportFormat::Mot, shown, |_| {}).unwrap()
+}
+
+#[test]
+fn an_export_as_motchallenge_is_read_by_the_evaluation_with_the_same_tracks() {
+    let folder = tempfile::tempdir().unwrap();
+    export_as_shown(folder.path());
+    let out = folder.path().join("out");
     let read = data::mot_challenge::read(&out).unwrap();
     let [clip] = read.clips.as_slice() else {
         panic!("{:?}", read.clips);
@@ -165,6 +182,15 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
         assert_eq!(car.object, Some(7));
     }
     assert_eq!(read.report.unmapped_classes["14"], 4);
+}
+
+#[test]
+fn frames_as_shown_are_exported_as_motchallenge() {
+    let folder = tempfile::tempdir().unwrap();
+    let done = export_as_shown(folder.path());
+    assert_eq!(done.pictures, 4);
+    assert_eq!(done.boxes, 8);
+    let out = folder.path().join("out");
     let rows = std::fs::read_to_string(out.join("a_front/gt/gt.txt")).unwrap();
     // Frame, track, left, top, width, height, 1, class, 1: tracks and pixels count from 1, and MOTChallenge's car is 3.
     assert_eq!(rows.lines().next(), Some("1,7,2.00,3.00,30.00,40.00,1,3,1"));
@@ -182,7 +208,8 @@ fn frames_as_shown_are_exported_as_motchallenge_and_read_by_the_evaluation() {
     );
 }
 
-/// A recording of two drives with a pause between them, and of both again, at 8 frames per second: their times jump three times.
+/// A recording of two drives with a pause between them, and of both again, at 8 frames per second: their times jump
+/// three times.
 fn recorded_in_a_loop(path: &Path) {
     let drives = [0, 125, 250, 375, 500_000, 500_125, 500_250];
     recorded_at(path, &[drives, drives].concat());
@@ -226,10 +253,15 @@ fn footage_of_a_drive_that_was_replayed_in_a_loop_has_the_drives_rate() {
 }
 
 #[test]
-fn without_a_recording_or_audited_frames_the_error_says_how_to_get_them() {
+fn a_folder_without_recordings_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let error = recordings(folder.path()).unwrap_err().to_string();
     assert!(error.contains("no MCAP file"), "{error}");
+}
+
+#[test]
+fn without_audited_frames_the_error_says_how_to_record_them() {
+    let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
     RecordingFile::create(&path).unwrap().finish().unwrap();
     let files = recordings(&path).unwrap();
@@ -237,4 +269,28 @@ fn without_a_recording_or_audited_frames_the_error_says_how_to_get_them() {
     let audit = ExportedFrames::Audit;
     let error = export(&files, &out, ExportFormat::Mot, audit, |_| {}).unwrap_err();
     assert!(error.to_string().contains("when = [\"audit\"]"), "{error}");
+}
+
+#[test]
+fn a_box_that_was_shown_without_an_object_keeps_its_class() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = LabelledFrame {
+        camera: "front".to_owned(),
+        t_ns: 1_700_000_000_000_000_000,
+        seq: 0,
+        size: [64, 48],
+        picture: picture(),
+        boxes: vec![one("car", UNTRACKED)],
+    };
+    let shown = ExportedFrames::Shown;
+    let mut sequence = Sequence::new(Path::new("a.mcap"), &frame, shown, folder.path());
+    sequence.add(&frame).unwrap();
+    sequence.finish().unwrap();
+    let read = data::mot_challenge::read(folder.path()).unwrap();
+    let boxes: Vec<_> = read.clips[0].truth.iter().flatten().flatten().collect();
+    let [car] = boxes.as_slice() else {
+        panic!("{boxes:?}");
+    };
+    assert_eq!(Ok(car.class), Evaluated::Road.find("car"));
+    assert_eq!(car.object, UNTRACKED);
 }

@@ -84,7 +84,8 @@ pub(super) fn archived_clips(path: &Path) -> Result<Vec<ArchivedClip>, EvalError
     Ok(clips)
 }
 
-/// Walks through the archive. A folder's pictures need not follow each other in it: tar writes them as the disk lists them.
+/// Walks through the archive. A folder's pictures need not follow each other in it: tar writes them as the disk lists
+/// them.
 fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
     let unreadable = |error: std::io::Error| EvalError::content(path, error);
     let file = File::open(path).map_err(unreadable)?;
@@ -107,13 +108,17 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
             return Err(EvalError::content(path, what));
         }
         let folder = inside.parent().unwrap_or(Path::new(""));
-        let place = *places.entry(folder.to_owned()).or_insert(folders.len());
-        if place == folders.len() {
-            folders.push(Folder {
-                path: folder.to_owned(),
-                pictures: Vec::new(),
-            });
-        }
+        let place = match places.get(folder) {
+            Some(place) => *place,
+            None => {
+                places.insert(folder.to_owned(), folders.len());
+                folders.push(Folder {
+                    path: folder.to_owned(),
+                    pictures: Vec::new(),
+                });
+                folders.len() - 1
+            }
+        };
         folders[place].pictures.push(ArchivedPicture {
             archive: Arc::clone(&archive),
             inside: inside.to_path_buf(),
@@ -124,8 +129,9 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
     Ok(folders)
 }
 
-/// Names the clips of an archive after its folders. Folders of one name in different places are told apart by the folders
-/// around them, joined as in the names that COCO's files give their clips. Pictures in no folder have the name of the archive.
+/// Names the clips of an archive after its folders. Folders of one name in different places are told apart by the
+/// folders around them, joined as in the names that COCO's files give their clips. Pictures in no folder have the name
+/// of the archive.
 fn clip_names(folders: &[Folder], archive: &str) -> Vec<String> {
     let own_name = |folder: &Folder| match folder.path.file_name() {
         Some(_) => folder_name(&folder.path),
@@ -138,13 +144,16 @@ fn clip_names(folders: &[Folder], archive: &str) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     let mut taken: HashSet<String> = HashSet::new();
     for folder in folders {
-        let mut name = own_name(folder);
-        if folders_by_name[&name] > 1 && folder.path.file_name().is_some() {
+        let own = own_name(folder);
+        let is_ambiguous = folders_by_name[&own] > 1 && folder.path.file_name().is_some();
+        let wanted = if is_ambiguous {
             let whole_path = folder.path.to_string_lossy().replace('/', "-");
-            name = plain_name(whole_path.trim_start_matches(['.', '-']));
-        }
+            plain_name(whole_path.trim_start_matches(['.', '-']))
+        } else {
+            own
+        };
         // Even whole paths can be the same once they are shortened and have no letters beyond ASCII.
-        name = unused_name(&name, |name| taken.contains(name));
+        let name = unused_name(&wanted, |name| taken.contains(name));
         taken.insert(name.clone());
         names.push(name);
     }

@@ -68,8 +68,8 @@ impl FromStr for SourceName {
     }
 }
 
-const HOLDS_BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put the pictures into a \
-    folder of their own";
+const HOLDS_BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put \
+    the pictures into a folder of their own";
 
 /// True for a folder with such files.
 fn holds(folder: &Path, wanted: fn(&Path) -> bool) -> bool {
@@ -129,9 +129,9 @@ impl SourceName {
         }
     }
 
-    /// Splits a folder that has no picture itself, such as that of a whole data set, into the folders of pictures in it (those
-    /// of a MOTChallenge sequence are in its `img1`), and a recording into its topics of pictures. Any other source is returned
-    /// as it is.
+    /// Splits a folder that has no picture itself, such as that of a whole data set, into the folders of pictures in it
+    /// (those of a MOTChallenge sequence are in its `img1`), and a recording into its topics of pictures. Any other
+    /// source is returned as it is.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -201,7 +201,7 @@ impl SourceName {
     /// Returns the names of the clips, without opening a video.
     ///
     /// # Errors
-    /// When it does not exist or is an archive that cannot be read.
+    /// When it does not exist, or has pictures and these cannot be listed.
     pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
         let any_rate = Pictures::DEFAULT_RATE;
@@ -235,6 +235,25 @@ impl Display for SourceName {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tempfile::TempDir;
+
+    const NO_RATE: Option<f64> = None;
+    const ROAD_FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
+
+    /// A folder with empty files at these paths.
+    fn folder(files: &[&str]) -> TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            let path = folder.path().join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        folder
+    }
+
+    fn named(folder: &TempDir) -> SourceName {
+        folder.path().to_str().unwrap().parse().unwrap()
+    }
 
     #[test]
     fn a_source_is_recognised_by_its_name() {
@@ -264,50 +283,52 @@ mod tests {
             "no/such.mcap",
         ] {
             let name: SourceName = missing.parse().unwrap();
-            let error = name.open(None, VideoEncoding::Jpeg).err().unwrap();
-            assert!(error.to_string().contains(missing), "{error}");
-            let error = name.clip_names().unwrap_err();
-            assert!(error.to_string().contains(missing), "{error}");
+            let not_opened = name.open(NO_RATE, VideoEncoding::Jpeg).err().unwrap();
+            assert!(not_opened.to_string().contains(missing), "{not_opened}");
+            let not_listed = name.clip_names().unwrap_err();
+            assert!(not_listed.to_string().contains(missing), "{not_listed}");
         }
     }
 
     #[test]
     fn each_folder_of_pictures_in_a_data_sets_folder_is_a_clip() {
-        let folder = tempfile::tempdir().unwrap();
-        for picture in [
+        let folder = folder(&[
             "b/2.jpg",
             "a/1.jpg",
             "MOT17-02/img1/000001.jpg",
             "notes/read.txt",
-        ] {
-            let path = folder.path().join(picture);
-            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            std::fs::write(path, "").unwrap();
-        }
-        let name: SourceName = folder.path().to_str().unwrap().parse().unwrap();
+        ]);
+        let name = named(&folder);
         assert_eq!(name.clip_names().unwrap(), ["MOT17-02", "a", "b"]);
-        assert_eq!(name.open_clips(None, VideoEncoding::Jpeg).unwrap().len(), 3);
-        // A folder with pictures of its own is one clip, whatever lies in folders inside it.
-        std::fs::write(folder.path().join("0.jpg"), "").unwrap();
-        assert_eq!(name.clip_names().unwrap().len(), 1);
+        let clips = name.open_clips(NO_RATE, VideoEncoding::Jpeg).unwrap();
+        assert_eq!(clips.len(), 3);
+    }
+
+    #[test]
+    fn a_folder_with_pictures_of_its_own_is_one_clip_whatever_lies_in_folders_inside_it() {
+        let folder = folder(&["0.jpg", "a/1.jpg", "b/2.jpg"]);
+        assert_eq!(named(&folder).clip_names().unwrap().len(), 1);
     }
 
     #[test]
     fn each_folder_of_the_demo_is_a_clip() {
-        let road = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
-        let name: SourceName = road.parse().unwrap();
+        let name: SourceName = ROAD_FILE.parse().unwrap();
         let names = ["busy", "sparse", "two-near", "empty-then-car"];
         assert_eq!(name.clip_names().unwrap(), names);
     }
 
     #[test]
-    fn the_demo_is_forty_seconds_long_and_small_enough_for_a_clone() {
-        let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
-        let name = SourceName::Archive(road.to_owned());
+    fn the_demo_is_at_least_forty_seconds_long() {
+        let name = SourceName::Archive(ROAD_FILE.into());
         let clips = name.open_clips(Some(ROAD_RATE), VideoEncoding::Jpeg).unwrap();
         let seconds: f64 =
             clips.iter().map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
+    }
+
+    #[test]
+    fn the_demo_is_small_enough_for_a_clone() {
+        let road = Path::new(ROAD_FILE);
         let bytes = |file: &Path| std::fs::metadata(file).unwrap().len();
         let truth = road.with_file_name("truth.json");
         assert!(bytes(road) + bytes(&truth) <= 14_000_000);

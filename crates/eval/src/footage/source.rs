@@ -35,8 +35,8 @@ pub trait FrameSource: Send {
         None
     }
 
-    /// The name of the last picture, or of the video file it is from, if there are several files: [`next`](Self::next) then
-    /// returns the pictures after one that cannot be read.
+    /// The name of the last picture, or of the video file it is from, if there are several files: [`next`](Self::next)
+    /// then returns the pictures after one that cannot be read.
     fn picture_name(&self) -> Option<String> {
         None
     }
@@ -72,8 +72,8 @@ pub(crate) fn clip_name(path: &Path) -> String {
     visible_name(path.file_stem().unwrap_or_default())
 }
 
-/// Names the clip of a folder after it, or after its parent for the folder `img1`, in which MOTChallenge keeps the pictures
-/// of every sequence.
+/// Names the clip of a folder after it, or after its parent for the folder `img1`, in which MOTChallenge keeps the
+/// pictures of every sequence.
 pub(super) fn folder_name(folder: &Path) -> String {
     let own = folder.file_name().unwrap_or_default();
     let parent = folder.parent().and_then(Path::file_name);
@@ -124,6 +124,10 @@ mod tests {
         }
         assert_eq!(names, ["cam.front", "cam.rear"]);
         assert_eq!(clip_name(Path::new("some/drive.mp4")), "drive");
+    }
+
+    #[test]
+    fn the_dot_of_a_hidden_file_is_no_part_of_its_clips_name() {
         assert_eq!(clip_name(Path::new("some/.drive.mp4")), "drive");
     }
 

@@ -120,8 +120,8 @@ const PROBE: [&str; 8] = [
 ];
 
 /// Arguments that output every frame exactly once, whatever its time stamp: frames get consecutive time stamps, so that
-/// a constant output rate neither repeats nor drops any. (`-fps_mode passthrough` is unknown before ffmpeg 5.1, `-vsync`
-/// after 7.)
+/// a constant output rate neither repeats nor drops any. (`-fps_mode passthrough` is unknown before ffmpeg 5.1,
+/// `-vsync` after 7.)
 const EACH_FRAME: [&str; 6] = ["-map", "0:v:0", "-vf", "settb=1/25,setpts=N", "-r", "25"];
 
 impl Video {
@@ -180,17 +180,14 @@ impl Video {
         };
         let errors = output.errors.join().unwrap_or_default();
         let mut process = self.process.lock();
-        let status = process.child.take().map(|mut child| child.wait());
-        let reason = match status {
-            Some(Ok(status)) if !status.success() && !process.stopped => {
-                if errors.is_empty() {
-                    format!("it ended with {status}")
-                } else {
-                    errors
-                }
-            }
-            Some(Err(error)) => error.to_string(),
-            _ => return Ok(()),
+        let Some(mut child) = process.child.take() else {
+            return Ok(());
+        };
+        let reason = match child.wait() {
+            Ok(status) if status.success() || process.stopped => return Ok(()),
+            Ok(status) if errors.is_empty() => format!("it ended with {status}"),
+            Ok(_) => errors,
+            Err(error) => error.to_string(),
         };
         Err(unreadable(&self.file, reason))
     }
@@ -254,12 +251,13 @@ fn probe(
 
 fn not_started(program: &Path, error: std::io::Error) -> EvalError {
     let program = program.display();
-    EvalError::new(match error.kind() {
+    let text = match error.kind() {
         ErrorKind::NotFound => format!(
             "no `{program}` was found; install it with `apt-get install ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`"
         ),
         _ => format!("`{program}` cannot be started: {error}"),
-    })
+    };
+    EvalError::new(text)
 }
 
 fn unreadable(file: &str, reason: impl Display) -> EvalError {
@@ -383,8 +381,10 @@ mod tests {
     #[test]
     fn a_camera_address_is_rejected_with_a_remedy() {
         let address = "rtsp://user:hidden@camera/1";
-        let error = Video::open(address, None, VideoEncoding::Jpeg, Ffmpeg::default());
-        let text = error.unwrap_err().to_string();
+        let no_default_rate = None;
+        let programs = Ffmpeg::default();
+        let opened = Video::open(address, no_default_rate, VideoEncoding::Jpeg, programs);
+        let text = opened.unwrap_err().to_string();
         assert!(text.contains("albireo publish"), "{text}");
         assert!(!text.contains("hidden"), "{text}");
     }

@@ -9,8 +9,8 @@ use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The video files of a folder or a pattern, in the order in which they were recorded. Each drive is a clip. Every file is a
-/// picture that cannot be read if it cannot be played: the next one follows.
+/// The video files of a folder or a pattern, in the order in which they were recorded. Each drive is a clip. A file
+/// that cannot be played counts as a picture that cannot be read: the next file follows.
 #[derive(Debug)]
 pub struct VideoFiles {
     /// The folder or pattern.
@@ -38,7 +38,7 @@ struct PlayedFile {
 }
 
 impl VideoFiles {
-    /// Lists the files and opens the first one that can be played.
+    /// Lists the files, and looks for the first one that can be played.
     ///
     /// # Errors
     /// When there is none, or they come from several cameras.
@@ -62,19 +62,20 @@ impl VideoFiles {
             process: Arc::default(),
         };
         let mut first_fault = None;
-        loop {
+        let playing = loop {
             match source.open_next() {
-                Ok(true) => break,
-                Ok(false) => {
+                Ok(Some(playing)) => break playing,
+                Ok(None) => {
                     let fault = first_fault.unwrap_or_else(|| EvalError::new("there is none"));
                     return Err(fault.context(format!("{text}: none of its files can be played")));
                 }
                 Err(fault) if first_fault.is_none() => first_fault = Some(fault),
                 Err(_) => {}
             }
-        }
-        source.rate = source.playing.as_ref().map_or(0.0, |playing| playing.video.rate());
-        // Those that were passed over are told when it is their turn.
+        };
+        source.rate = playing.video.rate();
+        source.playing = Some(playing);
+        // If files were passed over, `next` begins with them again, to report each in its turn.
         if first_fault.is_some() {
             source.rewind()?;
         }
@@ -92,10 +93,10 @@ impl VideoFiles {
         plain_name(&name.to_string_lossy())
     }
 
-    /// Opens the next file; false if there is no more.
-    fn open_next(&mut self) -> Result<bool, EvalError> {
+    /// Opens the next file, whose drive becomes the clip; `None` if there is no more.
+    fn open_next(&mut self) -> Result<Option<PlayedFile>, EvalError> {
         let recording = match self.drives.next() {
-            None => return Ok(false),
+            None => return Ok(None),
             Some(Ok(recording)) => recording,
             Some(Err(passed_over)) => {
                 self.last.clone_from(&passed_over.path);
@@ -109,12 +110,11 @@ impl VideoFiles {
         let programs = self.programs.clone();
         let video = Video::open_probed(process, &file, rate, self.encoding, programs)?;
         self.drive = plain_name(&recording.drive).into();
-        self.playing = Some(PlayedFile {
+        Ok(Some(PlayedFile {
             video,
             recording,
             frames: 0,
-        });
-        Ok(true)
+        }))
     }
 }
 
@@ -153,7 +153,8 @@ impl FrameSource for VideoFiles {
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         loop {
             let Some(playing) = &mut self.playing else {
-                if !self.open_next()? {
+                self.playing = self.open_next()?;
+                if self.playing.is_none() {
                     return Ok(None);
                 }
                 continue;
@@ -165,9 +166,9 @@ impl FrameSource for VideoFiles {
                         return Ok(None);
                     }
                 }
-                Ok(picture) => {
+                Ok(Some(picture)) => {
                     playing.frames += 1;
-                    return Ok(picture);
+                    return Ok(Some(picture));
                 }
                 Err(fault) => {
                     self.playing = None;

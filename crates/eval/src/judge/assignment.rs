@@ -1,7 +1,7 @@
 //! Pairs rows with columns so that the sum of their scores is highest.
 
-/// Returns the pairs of the best one-to-one assignment of `rows` to `columns`; `scores` are row by row. Scores are finite,
-/// so a solution always exists.
+/// Returns the pairs of the best one-to-one assignment of `rows` to `columns`; `scores` are row by row. Scores are
+/// finite, so a solution always exists.
 pub(super) fn assign(
     rows: usize,
     columns: usize,

@@ -64,7 +64,8 @@ pub struct Accuracy {
     pub precision: f64,
     /// Share of the ground truth that is matched at IoU 0.50.
     pub recall: f64,
-    /// Number of predictions: with classes pooled of those judged at IoU 0.50, with separate classes of all.
+    /// Number of predictions: with classes pooled of those judged at IoU 0.50, with separate classes of all that no
+    /// mark with a fixed threshold leaves out.
     pub predictions: usize,
     /// Number of ground-truth boxes.
     pub truths: usize,
@@ -93,8 +94,8 @@ fn mean_over_classes(
     truth: Truth<'_>,
     interpolation: Interpolation,
 ) -> Option<Accuracy> {
-    let predictions = without_fixed(predictions, truth, Classes::Separate);
-    let by_class = of_each_class(&predictions, truth, interpolation);
+    let kept = without_fixed(predictions, truth, Classes::Separate);
+    let by_class = of_each_class(&kept, truth, interpolation);
     if by_class.is_empty() {
         return None;
     }
@@ -107,7 +108,7 @@ fn mean_over_classes(
         f1_50_shown: mean(|class| class.f1_50_shown),
         precision: mean(|class| class.precision),
         recall: mean(|class| class.recall),
-        predictions: predictions.iter().map(Vec::len).sum(),
+        predictions: kept.iter().map(Vec::len).sum(),
         truths: truth.objects.iter().map(Vec::len).sum(),
     })
 }
@@ -126,10 +127,10 @@ impl Matches {
         truth: Truth<'_>,
         interpolation: Interpolation,
     ) -> Self {
-        let predictions = without_fixed(predictions, truth, Classes::Pooled);
+        let kept = without_fixed(predictions, truth, Classes::Pooled);
         let any_class = None;
         Self {
-            matching: Matching::new(&predictions, truth, any_class),
+            matching: Matching::new(&kept, truth, any_class),
             interpolation,
         }
     }
@@ -138,15 +139,15 @@ impl Matches {
     pub(crate) fn joined<'a>(clips: impl IntoIterator<Item = &'a Self>) -> Option<Self> {
         let mut clips = clips.into_iter().peekable();
         let interpolation = clips.peek()?.interpolation;
-        let mut ranked = Vec::new();
+        let mut predictions = Vec::new();
         let mut truths = 0;
         for Self { matching, .. } in clips {
             let confidences = matching.confidences.iter().copied();
-            ranked.extend(confidences.zip(matching.outcomes.iter().copied()));
+            predictions.extend(confidences.zip(matching.outcomes.iter().copied()));
             truths += matching.truths;
         }
         Some(Self {
-            matching: Matching::ranked(ranked, truths),
+            matching: Matching::ranked(predictions, truths),
             interpolation,
         })
     }
@@ -164,8 +165,8 @@ pub(crate) fn accuracy_by_class<'a>(
     interpolation: Interpolation,
 ) -> BTreeMap<ClassId, Accuracy> {
     let truth = truth.into();
-    let predictions = without_fixed(predictions, truth, Classes::Separate);
-    of_each_class(&predictions, truth, interpolation)
+    let kept = without_fixed(predictions, truth, Classes::Separate);
+    of_each_class(&kept, truth, interpolation)
 }
 
 /// Computes the accuracy of every class, when what fixed marks leave out is gone.
@@ -190,9 +191,9 @@ fn of_each_class(
 
 /// Counts the objects of one frame that `found` matches at IoU 0.5.
 pub(crate) fn hits(found: &[ScoredBox], objects: &[ScoredBox]) -> usize {
-    let objects = [objects.to_vec()];
+    let truth = [objects.to_vec()];
     let any_class = None;
-    Matching::new(&[found.to_vec()], (&objects).into(), any_class).hits()
+    Matching::new(&[found.to_vec()], (&truth).into(), any_class).hits()
 }
 
 /// The predictions of a clip in falling order of confidence, and what became of each.
@@ -211,7 +212,7 @@ struct Matching {
 impl Matching {
     /// Matches the boxes of `class`; all if it is `None`.
     fn new(predictions: &[Vec<ScoredBox>], truth: Truth<'_>, class: Option<ClassId>) -> Self {
-        let mut ranked: Vec<(f64, Outcome)> = Vec::new();
+        let mut unranked: Vec<(f64, Outcome)> = Vec::new();
         let mut truths = 0;
         let mut frame = FrameMatcher::default();
         for index in 0..predictions.len().max(truth.objects.len()) {
@@ -220,20 +221,20 @@ impl Matching {
             truths += frame.truths.len();
             frame.match_all();
             let confidences = frame.predictions.iter().map(|prediction| prediction.confidence);
-            ranked.extend(confidences.zip(frame.outcomes.iter().copied()));
+            unranked.extend(confidences.zip(frame.outcomes.iter().copied()));
         }
         Self {
             #[cfg(test)]
             compared: frame.compared,
-            ..Self::ranked(ranked, truths)
+            ..Self::ranked(unranked, truths)
         }
     }
 
-    /// Ranks predictions, given in order of frames.
-    fn ranked(mut ranked: Vec<(f64, Outcome)>, truths: usize) -> Self {
+    /// Ranks predictions, given in order of frames by their confidence and outcome.
+    fn ranked(mut predictions: Vec<(f64, Outcome)>, truths: usize) -> Self {
         // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
-        ranked.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        let (confidences, outcomes): (Vec<f64>, _) = ranked.into_iter().unzip();
+        predictions.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+        let (confidences, outcomes): (Vec<f64>, _) = predictions.into_iter().unzip();
         Self {
             shown: confidences.partition_point(|confidence| *confidence >= SHOWN_CONFIDENCE),
             confidences,
@@ -254,11 +255,11 @@ impl Matching {
         let mut ap75 = 0.0;
         for threshold in 0..IOU_THRESHOLDS.len() {
             self.precision_at_hits(threshold, &mut points);
-            let area = area(&points, self.truths, interpolation);
-            sum += area;
+            let ap = area(&points, self.truths, interpolation);
+            sum += ap;
             match threshold {
-                AT_50 => ap50 = area,
-                AT_75 => ap75 = area,
+                AT_50 => ap50 = ap,
+                AT_75 => ap75 = ap,
                 _ => {}
             }
         }

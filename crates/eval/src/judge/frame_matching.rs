@@ -26,11 +26,11 @@ pub(super) struct Outcome {
 
 impl Outcome {
     pub(super) fn is_matched(self, threshold: usize) -> bool {
-        self.matched >> threshold & 1 == 1
+        self.matched & (1 << threshold) != 0
     }
 
     pub(super) fn is_excused(self, threshold: usize) -> bool {
-        self.excused >> threshold & 1 == 1
+        self.excused & (1 << threshold) != 0
     }
 }
 
@@ -130,8 +130,8 @@ impl FrameMatcher {
         }
     }
 
-    /// Excuses predictions that match no object, as COCO does: each takes the marked place of highest overlap; a crowd can
-    /// be taken any number of times, an object once.
+    /// Excuses predictions that match no object, as COCO does: each takes the marked place of highest overlap; a crowd
+    /// can be taken any number of times, an object once.
     fn excuse(&mut self) {
         for (bit, &threshold) in IOU_THRESHOLDS.iter().enumerate() {
             self.free.clear();
@@ -168,8 +168,8 @@ impl FrameMatcher {
         self.candidates.clear();
         self.ends.clear();
         self.by_left.clear();
-        self.by_left
-            .extend(self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index)));
+        let left_edges = self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index));
+        self.by_left.extend(left_edges);
         self.by_left.sort_by(|(left, _), (other, _)| left.total_cmp(other));
         let widest = self.truths.iter().map(|truth| truth.x2 - truth.x1).fold(0.0, f64::max);
         for prediction in &self.predictions {

@@ -35,8 +35,11 @@ struct Appearances {
 impl Appearances {
     /// Counts an appearance, and returns the number of the track or object.
     fn add(&mut self, object: u64) -> usize {
-        let number = *self.numbers.entry(object).or_insert(self.counts.len());
-        self.counts.resize(self.numbers.len(), 0.0);
+        let next = self.counts.len();
+        let number = *self.numbers.entry(object).or_insert(next);
+        if number == next {
+            self.counts.push(0.0);
+        }
         self.counts[number] += 1.0;
         number
     }
@@ -86,13 +89,15 @@ pub fn tracking<'a>(
         let found = predictions.get(index).map_or(&[][..], Vec::as_slice);
         let mut frame = Overlaps::default();
         for object in known {
-            frame.truths.push(objects.add(object.object?));
+            let number = objects.add(object.object?);
+            frame.truths.push(number);
         }
-        for shown in found {
-            frame.tracks.push(tracks.add(shown.object?));
+        for one in found {
+            let number = tracks.add(one.object?);
+            frame.tracks.push(number);
         }
         for object in known {
-            let iou = |shown: &ScoredBox| object.corners.intersection_over_union(shown.corners);
+            let iou = |one: &ScoredBox| object.corners.intersection_over_union(one.corners);
             frame.iou.extend(found.iter().map(iou));
         }
         frames.push(frame);
@@ -140,7 +145,9 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
             let counts = matches.entry(pair).or_insert([0.0; THRESHOLDS]);
             for (index, count) in counts.iter_mut().enumerate() {
                 let threshold = 0.05 + 0.05 * index as f64;
-                *count += f64::from(iou >= threshold - f64::EPSILON);
+                if iou >= threshold - f64::EPSILON {
+                    *count += 1.0;
+                }
             }
         }
     }
@@ -196,27 +203,49 @@ mod tests {
         let whole = vec![vec![found(0.0, Some(3), 0.9)]; 4];
         let cut: Vec<_> = (0..4).map(|frame| vec![found(0.0, Some(frame / 2), 0.9)]).collect();
         let perfect = tracking(&whole, &truth).unwrap();
-        assert_eq!([perfect.hota, perfect.idf1], [1.0, 1.0]);
+        assert_eq!(perfect.hota, 1.0);
+        assert_eq!(perfect.idf1, 1.0);
         let halves = tracking(&cut, &truth).unwrap();
         assert!((halves.hota - 0.5_f64.sqrt()).abs() < 1e-12, "{halves:?}");
         assert_eq!(halves.idf1, 0.5);
     }
 
+    /// A frame with the right box of the object, and a wrong box.
+    fn right_and_wrong(object: Option<u64>, confidence: f64) -> Vec<Vec<ScoredBox>> {
+        vec![vec![
+            found(0.0, Some(1), 0.9),
+            found(50.0, object, confidence),
+        ]]
+    }
+
     #[test]
-    fn faint_boxes_do_not_count_and_boxes_without_an_object_cannot_be_scored() {
-        let truth = vec![known(Some(7))];
-        let with = |object, confidence| {
-            vec![vec![
-                found(0.0, Some(1), 0.9),
-                found(50.0, object, confidence),
-            ]]
-        };
-        assert_eq!(tracking(&with(None, 0.2), &truth).unwrap().hota, 1.0);
-        assert!(tracking(&with(Some(2), 0.3), &truth).unwrap().hota < 1.0);
-        assert_eq!(tracking(&with(None, 0.3), &truth), None);
-        assert_eq!(tracking(&with(Some(2), 0.3), &[known(None)]), None);
+    fn a_wrong_box_counts_unless_it_is_faint() {
+        let truth = [known(Some(7))];
+        let faint = tracking(&right_and_wrong(Some(2), 0.2), &truth).unwrap();
+        assert_eq!(faint.hota, 1.0);
+        let shown = tracking(&right_and_wrong(Some(2), 0.3), &truth).unwrap();
+        assert!(shown.hota < 1.0, "{shown:?}");
+    }
+
+    #[test]
+    fn boxes_without_an_object_number_cannot_be_scored_unless_they_are_faint() {
+        let truth = [known(Some(7))];
+        assert_eq!(tracking(&right_and_wrong(None, 0.3), &truth), None);
+        let faint = tracking(&right_and_wrong(None, 0.2), &truth).unwrap();
+        assert_eq!(faint.hota, 1.0);
+        let numbered = right_and_wrong(Some(2), 0.3);
+        assert_eq!(tracking(&numbered, &[known(None)]), None);
+    }
+
+    #[test]
+    fn without_ground_truth_the_figures_are_undefined() {
         assert_eq!(tracking(&[], &[]), None);
-        let nothing = tracking(&[], &truth).unwrap();
-        assert_eq!([nothing.hota, nothing.idf1], [0.0, 0.0]);
+    }
+
+    #[test]
+    fn without_boxes_the_figures_are_zero() {
+        let nothing = tracking(&[], &[known(Some(7))]).unwrap();
+        assert_eq!(nothing.hota, 0.0);
+        assert_eq!(nothing.idf1, 0.0);
     }
 }

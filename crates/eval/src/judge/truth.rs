@@ -7,19 +7,20 @@ use albireo_core::geometry::Corners;
 /// How boxes that lie on a marked place are treated, by the rules of the benchmark that marks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// A region without labels: KITTI's DontCare, the crowds and distractors of BDD100K, VisDrone's ignored regions. Any
-    /// number of boxes with at least half of their area inside, which overlap no object by IoU 0.5, are left out.
+    /// A region without labels: KITTI's DontCare, the crowds and distractors of BDD100K, VisDrone's ignored regions.
+    /// Any number of boxes with at least half of their area inside, which overlap no object by IoU 0.5, are left out.
     Region,
     /// COCO's `iscrowd`. At each IoU threshold, any number of boxes with at least this share of their own area inside,
     /// which match no object at this threshold, are left out.
     Crowd,
-    /// COCO's `ignore`: an object. At each IoU threshold, the one box that matches it, and no other object, is left out.
+    /// COCO's `ignore`: an object. At each IoU threshold, the one box that matches it, and no other object, is left
+    /// out.
     Object,
     /// MOTChallenge's distractors: an object. The boxes of a frame are assigned to all its objects so that the sum of
     /// their IoU of 0.5 and more is highest; a box that falls to a distractor is left out.
     Distractor,
-    /// An object that MOTChallenge labels and does not judge: it takes part in that assignment, and a box that falls to it
-    /// counts as wrong.
+    /// An object that MOTChallenge labels and does not judge: it takes part in that assignment, and a box that falls to
+    /// it counts as wrong.
     Unjudged,
     /// A frame that nobody labelled, as most are in sparsely labelled data: nothing on it is judged, wherever it lies.
     Unlabelled,

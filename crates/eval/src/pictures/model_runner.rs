@@ -7,7 +7,7 @@ use crate::error::EvalError;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::policy::Need;
 use albireo_vision::detector::{
-    CameraSlot, Choice, DetectorConfig, DetectorHandle, ExecutionProvider, StartError,
+    CameraSlot, Choice, DetectorConfig, DetectorHandle, ExecutionProvider,
 };
 use albireo_vision::picture::{
     EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half, decode_small_grey,
@@ -32,6 +32,13 @@ pub(super) struct ModelResults {
     pub times: StepTimes,
 }
 
+/// A decoded grey picture.
+pub(super) struct TimedGrey {
+    pub picture: Picture,
+    /// The time that decoding took.
+    pub milliseconds: f64,
+}
+
 /// A detector and perhaps a screen, which process one picture after another.
 pub struct ModelRunner {
     detector: DetectorHandle,
@@ -50,7 +57,10 @@ impl ModelRunner {
     ///
     /// # Errors
     /// [`EvalError`] when a model cannot be loaded or used.
-    pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, EvalError> {
+    pub fn start(
+        detector_config: &DetectorConfig,
+        screen_config: &ScreenConfig,
+    ) -> Result<Self, EvalError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -60,13 +70,11 @@ impl ModelRunner {
                     "the asynchronous runtime cannot be started: {error}"
                 ))
             })?;
-        let library = detector.onnxruntime.as_deref();
-        let started = runtime.block_on(async {
-            let detector = DetectorHandle::start(detector).await?;
-            let screen = ScreenHandle::start(screen, library).await?;
-            Ok((detector, screen))
-        });
-        let (detector, screen) = started.map_err(|error: StartError| EvalError::new(error))?;
+        let detector_start = DetectorHandle::start(detector_config);
+        let detector = runtime.block_on(detector_start).map_err(EvalError::new)?;
+        let library = detector_config.onnxruntime.as_deref();
+        let screen_start = ScreenHandle::start(screen_config, library);
+        let screen = runtime.block_on(screen_start).map_err(EvalError::new)?;
         let evaluated = Evaluated::of_model(detector.class_names());
         Ok(Self {
             classes: numbers(&evaluated, detector.class_names()),
@@ -130,17 +138,18 @@ impl ModelRunner {
     /// [`EvalError`] when it cannot be decoded.
     pub(super) fn decode(&mut self, encoded: &EncodedPicture) -> Result<f64, EvalError> {
         let start = Instant::now();
+        // The buffer of the last picture is reused, unless a model still holds it.
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
         let screen = self.screen.as_ref().map(ScreenHandle::input_format);
         let target = decoding_target(self.detector.preparation().format(), screen, encoded.size);
-        decode(
+        let decoded = decode(
             encoded,
             &self.limits,
             PixelLayout::Rgb8,
             Some(target),
             &mut picture,
-        )
-        .map_err(EvalError::new)?;
+        );
+        decoded.map_err(EvalError::new)?;
         self.picture = Arc::new(picture);
         Ok(milliseconds(start))
     }
@@ -187,7 +196,7 @@ impl ModelRunner {
         })
     }
 
-    /// Decodes the picture to grey in the size that `need` names; also returns the milliseconds that this took.
+    /// Decodes the picture to grey in the size that `need` names.
     ///
     /// # Errors
     /// When it cannot be decoded or is too small to be halved.
@@ -195,7 +204,7 @@ impl ModelRunner {
         &self,
         encoded: &EncodedPicture,
         need: Need,
-    ) -> Result<(Picture, f64), EvalError> {
+    ) -> Result<TimedGrey, EvalError> {
         let start = Instant::now();
         let mut grey = Picture::default();
         let decoded = match need {
@@ -206,7 +215,10 @@ impl ModelRunner {
         };
         decoded.map_err(EvalError::new)?;
         grey.pixels.shrink_to_fit();
-        Ok((grey, milliseconds(start)))
+        Ok(TimedGrey {
+            picture: grey,
+            milliseconds: milliseconds(start),
+        })
     }
 }
 

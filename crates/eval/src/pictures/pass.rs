@@ -28,8 +28,9 @@ impl PassSettings {
     /// When a policy cannot be built.
     pub fn for_policies(policies: &[PolicySpec]) -> Result<Self, EvalError> {
         let mut settings = Self::default();
-        for policy in policies {
-            match policy.config.build().map_err(EvalError::new)?.pictures() {
+        for spec in policies {
+            let policy = spec.config.build().map_err(EvalError::new)?;
+            match policy.pictures() {
                 Some(Need::GreyPicture) => settings.keep_grey = true,
                 Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
                 _ => {}
@@ -39,13 +40,14 @@ impl PassSettings {
     }
 }
 
-/// Runs the models on every picture of `source`. `report` counts what is left out; `progress` is called after each frame.
+/// Runs the models on every picture of `source`. `report` counts what is left out; `progress` is called after each
+/// frame.
 ///
 /// A picture in a file of its own that cannot be read or decoded is named, counted and left out ([`Clip::unusable`]).
 ///
 /// # Errors
-/// [`EvalError`] at the first frame of other footage that cannot be read, at one that the detector fails on, and when no
-/// picture can be used.
+/// [`EvalError`] at the first frame of other footage that cannot be read, at one that the detector fails on, and when
+/// no picture can be used.
 pub fn run_pass(
     source: &mut dyn FrameSource,
     models: &mut ModelRunner,
@@ -81,7 +83,8 @@ pub fn run_pass(
         let results = kept
             .run(&decoded, models, settings)
             .map_err(|error| error.context(format!("{name}, frame {frame}")))?;
-        kept.detections.push(stored(&results, first, &name, frame, report));
+        let boxes = stored(&results, first, &name, frame, report);
+        kept.detections.push(boxes);
         progress();
     }
     let frames = kept.times.len();
@@ -142,14 +145,14 @@ impl Kept {
             ..results.times
         };
         if settings.keep_grey {
-            let (picture, time) = models.grey(encoded, Need::GreyPicture)?;
-            self.grey.push(picture);
-            step.grey = time;
+            let grey = models.grey(encoded, Need::GreyPicture)?;
+            self.grey.push(grey.picture);
+            step.grey = grey.milliseconds;
         }
         if let Some(width) = settings.keep_small {
-            let (picture, time) = models.grey(encoded, Need::SmallGreyPicture { width })?;
-            self.small.push(picture);
-            step.small = time;
+            let small = models.grey(encoded, Need::SmallGreyPicture { width })?;
+            self.small.push(small.picture);
+            step.small = small.milliseconds;
         }
         self.verdicts.push(results.empty);
         self.times.push(step);
@@ -191,7 +194,11 @@ impl Faults {
     /// The most faults that are kept by name.
     const MOST_NAMED: usize = 20;
 
-    /// Counts a picture, if the one behind it can still be read.
+    /// Notes the picture at `place`, which cannot be used, if it has a file of its own: the next one can still be read
+    /// then.
+    ///
+    /// # Errors
+    /// The `fault` itself, if the picture has no such file.
     fn add(
         &mut self,
         place: usize,
@@ -205,12 +212,12 @@ impl Faults {
         if self.named.len() < Self::MOST_NAMED {
             // What reads a file names it already.
             let is_named = fault.to_string().contains(&picture);
-            let fault = if is_named {
+            let named = if is_named {
                 fault
             } else {
                 fault.context(picture)
             };
-            self.named.push(fault);
+            self.named.push(named);
         }
         Ok(())
     }
@@ -228,8 +235,8 @@ impl Faults {
     }
 }
 
-/// Lets the detector choose its input on the first pictures, as a node does, so that the whole clip runs at one size and the
-/// pass gives the same boxes wherever it begins.
+/// Lets the detector choose its input on the first pictures, as a node does, so that the whole clip runs at one size
+/// and the pass gives the same boxes wherever it begins.
 fn settle_input(source: &mut dyn FrameSource, models: &mut ModelRunner) -> Result<(), EvalError> {
     if !models.chooses_input() {
         return Ok(());
@@ -247,8 +254,8 @@ fn settle_input(source: &mut dyn FrameSource, models: &mut ModelRunner) -> Resul
     source.rewind()
 }
 
-/// Converts detections to pixels, as they are stored. The replay in this process starts from these too, so that
-/// a run on the files of `--save-detections` decides the same to the last bit.
+/// Converts detections to pixels, as they are stored; counts in `report` what is left out. The replay in this process
+/// starts from these too, so that a run on the files of `--save-detections` decides the same to the last bit.
 fn stored(
     results: &ModelResults,
     picture: PictureSize,
@@ -263,14 +270,14 @@ fn stored(
     let (width, height) = (f64::from(picture.width), f64::from(picture.height));
     let mut kept = Vec::with_capacity(results.detections.len());
     for detection in &results.detections {
-        let corners = detection.bounding_box.pixel_corners(picture);
+        let unclamped = detection.bounding_box.pixel_corners(picture);
         // The detector cuts boxes at the picture's edge, but normalising them can move them beyond it again by a
         // rounding error.
         let corners = Corners {
-            x1: corners.x1.clamp(0.0, width),
-            y1: corners.y1.clamp(0.0, height),
-            x2: corners.x2.clamp(0.0, width),
-            y2: corners.y2.clamp(0.0, height),
+            x1: unclamped.x1.clamp(0.0, width),
+            y1: unclamped.y1.clamp(0.0, height),
+            x2: unclamped.x2.clamp(0.0, width),
+            y2: unclamped.y2.clamp(0.0, height),
         };
         match report.check(corners, picture) {
             Some(reason) => report.leave_out(reason, place),

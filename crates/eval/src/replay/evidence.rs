@@ -104,18 +104,20 @@ impl<'a> StoredEvidence<'a> {
 
     /// Returns the frame's grey picture in the size that `need` names.
     fn grey_picture(&self, frame: usize, need: Need) -> Result<GreyPicture<'_>, EvalError> {
-        let kept = self.clip.pass.as_ref().and_then(|pass| match need {
-            Need::SmallGreyPicture { width } if pass.small_width == Some(width) => {
-                pass.small.get(frame)
-            }
-            Need::GreyPicture => pass.grey.get(frame),
-            _ => None,
-        });
-        let picture = kept.ok_or_else(|| {
+        let no_pixels = || {
             EvalError::new(
                 "this policy looks at pixels, and stored detections have none: evaluate it on a video or a folder of pictures",
             )
-        })?;
+        };
+        let pass = self.clip.pass.as_ref().ok_or_else(no_pixels)?;
+        let kept = match need {
+            Need::GreyPicture => pass.grey.get(frame),
+            Need::SmallGreyPicture { width } if pass.small_width == Some(width) => {
+                pass.small.get(frame)
+            }
+            _ => None,
+        };
+        let picture = kept.ok_or_else(no_pixels)?;
         Ok(GreyPicture {
             size: picture.size,
             pixels: &picture.pixels,

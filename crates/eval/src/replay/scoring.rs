@@ -49,11 +49,11 @@ pub(crate) fn score_object(object: &ObjectRecord, picture: PictureSize) -> Score
 /// code: the edge of a new object can lie on a whole pixel, where the rounding error of this order decides
 /// whether truncation removes a pixel.
 fn whole_edges(center: f64, side: f64, pixels: u32) -> (f64, f64) {
-    let pixels = f64::from(pixels);
-    let center = center * pixels;
-    let half = side * pixels / 2.0;
-    let cut = |edge: f64| edge.trunc().clamp(0.0, pixels - 1.0);
-    (cut(center - half), cut(center + half))
+    let scale = f64::from(pixels);
+    let middle = center * scale;
+    let half = side * scale / 2.0;
+    let cut = |edge: f64| edge.trunc().clamp(0.0, scale - 1.0);
+    (cut(middle - half), cut(middle + half))
 }
 
 /// Returns a detector's box as the published evaluator scores it under Vanilla: truncated to whole pixels, not clamped.
@@ -82,19 +82,20 @@ fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
     }
 }
 
-/// Returns the boxes of a frame that a node publishes, and all boxes of the policy.
-pub(crate) fn score_node_boxes(
+/// Returns all boxes of a frame, as the policy reports them.
+pub(crate) fn score_all(boxes: &[OutputBox], picture: PictureSize) -> Vec<ScoredBox> {
+    boxes.iter().map(|output| score_reported(output, picture)).collect()
+}
+
+/// Returns the boxes of a frame that a node publishes.
+pub(crate) fn score_published(
     boxes: &[OutputBox],
     picture: PictureSize,
     min_confidence: MinConfidence,
-) -> (Vec<ScoredBox>, Vec<ScoredBox>) {
-    let score = |boxes: &[OutputBox]| {
-        let scored = boxes.iter().map(|output| score_reported(output, picture));
-        scored.collect::<Vec<_>>()
-    };
+) -> Vec<ScoredBox> {
     let mut published = boxes.to_vec();
     min_confidence.select(&mut published);
-    (score(&published), score(boxes))
+    score_all(&published, picture)
 }
 
 /// Truncates towards zero. Normalising can move a detector's edge by a rounding error below its whole pixel,

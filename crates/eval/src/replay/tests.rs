@@ -37,12 +37,13 @@ impl Policy for Curious {
         self.next()
     }
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        self.answers.push(match evidence {
+        let answer = match evidence {
             Evidence::Screen { empty } => format!("screen {empty}"),
             Evidence::GreyPicture(grey) => format!("grey {}", grey.size),
             Evidence::Detections(found) => format!("detections {}", found.len()),
             Evidence::Unavailable => "unavailable".to_owned(),
-        });
+        };
+        self.answers.push(answer);
         self.next()
     }
     fn finish(&mut self, outcome: &mut Outcome) {
@@ -96,16 +97,32 @@ fn replayed(
     replay(policy, &mut source, profile, floor, keep_trace)
 }
 
-#[test]
-fn a_policy_gets_its_evidence_and_learns_of_missing_screen_verdicts() {
-    let mut policy = Curious {
+/// A policy that asks for everything.
+fn insatiable() -> Curious {
+    Curious {
         script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
         ..Curious::default()
-    };
-    let result = replayed(&mut policy, &recording(&[]), Profile::Paper).expect("it runs");
+    }
+}
+
+#[test]
+fn a_policy_gets_its_evidence_and_learns_of_missing_screen_verdicts() {
+    let mut policy = insatiable();
+    replayed(&mut policy, &recording(&[]), Profile::Paper).expect("it runs");
     let expected = "screen false, grey 2x1, detections 0, unavailable, grey 2x1, detections 0";
     assert_eq!(policy.answers.join(", "), expected);
-    assert!(result.frames.iter().all(|frame| frame.screen && frame.detector));
+}
+
+#[test]
+fn the_record_of_a_frame_says_what_the_policy_asked_for() {
+    let all = replayed(&mut insatiable(), &recording(&[]), Profile::Paper).expect("it runs");
+    assert!(all.frames.iter().all(|frame| frame.screen));
+    assert!(all.frames.iter().all(|frame| frame.examined));
+    assert!(all.frames.iter().all(|frame| frame.detector));
+    let mut content = Curious::default();
+    let nothing = replayed(&mut content, &recording(&[]), Profile::Paper).expect("it runs");
+    let asked = |frame: &FrameRecord| frame.screen || frame.examined || frame.detector;
+    assert!(!nothing.frames.iter().any(asked));
 }
 
 #[test]
@@ -118,25 +135,30 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
     assert_eq!(run(Profile::Reference).x1, 44.0);
 }
 
+/// Replays detections of confidence 0.7 with a node that publishes from `report_confidence` on, or from 0.8 without
+/// one.
+fn replayed_with_floor(profile: Profile, report_confidence: Option<f64>) -> Replay {
+    let recording = recording(&[]);
+    let floor = MinConfidence::new(report_confidence, 0.8);
+    let mut source = StoredEvidence::new(&recording, &Settings::default()).unwrap();
+    let keep_trace = false;
+    let mut policy = Curious::default();
+    replay(&mut policy, &mut source, profile, floor, keep_trace).expect("it runs")
+}
+
 #[test]
 fn published_boxes_are_scored_and_all_boxes_as_well() {
-    let recording = recording(&[]);
-    let replayed = |profile, least| {
-        let floor = MinConfidence::new(least, 0.8);
-        let mut source = StoredEvidence::new(&recording, &Settings::default()).unwrap();
-        let keep_trace = false;
-        let mut policy = Curious::default();
-        replay(&mut policy, &mut source, profile, floor, keep_trace).expect("it runs")
-    };
-    // The detection has a confidence of 0.7.
-    for (least, published) in [(None, 0), (Some(0.7), 1)] {
-        let result = replayed(Profile::Paper, least);
-        assert_eq!(result.boxes[0].len(), published, "{least:?}");
+    for (report_confidence, published) in [(None, 0), (Some(0.7), 1)] {
+        let result = replayed_with_floor(Profile::Paper, report_confidence);
+        assert_eq!(result.boxes[0].len(), published, "{report_confidence:?}");
         let all = result.boxes_all.expect("a node has both");
-        assert_eq!(all[0].len(), 1, "{least:?}");
+        assert_eq!(all[0].len(), 1, "{report_confidence:?}");
     }
-    // The published evaluator scores every box.
-    let result = replayed(Profile::Reference, None);
+}
+
+#[test]
+fn the_reference_scores_every_box_however_faint() {
+    let result = replayed_with_floor(Profile::Reference, None);
     assert_eq!(result.boxes[0].len(), 1);
     assert_eq!(result.boxes_all, None);
 }
@@ -160,10 +182,11 @@ fn a_policy_that_uses_pixels_is_rejected_on_stored_detections_with_a_remedy() {
 fn two_replays_of_a_policy_differ_only_in_time() {
     let mut policy = PolicyConfig::default().build().expect("a policy");
     let found = scored(square(40.0, 40.0, 20.0), 0.9);
-    let mut run = || {
-        let result =
-            replayed(policy.as_mut(), &recording(&[found]), Profile::Reference).expect("it runs");
-        (result.trace, result.boxes, result.boxes_last_confidence)
-    };
-    assert_eq!(run(), run());
+    let mut run =
+        || replayed(policy.as_mut(), &recording(&[found]), Profile::Reference).expect("it runs");
+    let first = run();
+    let second = run();
+    assert_eq!(first.trace, second.trace);
+    assert_eq!(first.boxes, second.boxes);
+    assert_eq!(first.boxes_last_confidence, second.boxes_last_confidence);
 }

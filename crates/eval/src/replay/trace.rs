@@ -58,8 +58,10 @@ pub fn read(path: &Path) -> Result<Vec<TraceFrame>, EvalError> {
     let reader = BufReader::new(flate2::read::GzDecoder::new(file));
     let mut frames = Vec::new();
     for (number, line) in (1..).zip(reader.lines()) {
-        let frame = serde_json::from_str(&line.map_err(failed)?);
-        frames.push(frame.map_err(|error| EvalError::line(path, number, error))?);
+        let text = line.map_err(failed)?;
+        let frame =
+            serde_json::from_str(&text).map_err(|error| EvalError::line(path, number, error))?;
+        frames.push(frame);
     }
     Ok(frames)
 }

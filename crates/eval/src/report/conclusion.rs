@@ -7,10 +7,12 @@ use crate::text::{counted, signed};
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
 
-/// The number of clips from which on an interval over clips is worth choosing a policy by. With fewer it describes the clips.
+/// The number of clips from which on an interval over clips is worth choosing a policy by. With fewer it describes the
+/// clips.
 const ENOUGH_CLIPS: usize = 8;
 
-/// Names the policy that skips most and keeps the accuracy, and the most accurate one with about half of the calls.
+/// Names the policy that skips most and keeps the accuracy, the most accurate one with about half of the calls, and
+/// those that skipped nothing. There is no sentence if the baseline did not run.
 pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
         return Vec::new();
@@ -79,10 +81,12 @@ fn accuracy(summary: &PolicySummary) -> f64 {
 
 /// The lower end of the 95 % interval of the change of AP@50.
 fn lower_end(summary: &PolicySummary) -> Option<f64> {
-    Some(summary.ap50_change?.interval?[0])
+    let [lower, _] = summary.ap50_change?.interval?;
+    Some(lower)
 }
 
-/// `albireo-u5e-4: 39.8 % of the detector calls skipped, AP@50 −0.4 points [−2.0, +1.1] over 17 clips, energy −34 % (projected).`
+/// `albireo-u5e-4: 39.8 % of the frames skip the detector, AP@50 -0.4 points [-2.0, +1.1] over 17 clips, energy -34 %
+/// (projected).`
 fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
     let mut text = format!(
         "{}: {:.1} % of the frames skip the detector",
@@ -101,7 +105,7 @@ fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
         && before.joules > 0.0
     {
         let percent = (own.joules / before.joules - 1.0) * 100.0;
-        text.push_str(&format!(", energy {percent:+.0} % (projected)"));
+        text.push_str(&format!(", energy {} % (projected)", signed(percent, 0)));
     }
     text.push('.');
     text

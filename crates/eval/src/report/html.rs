@@ -86,7 +86,7 @@ fn judged(report: &Report) -> Option<&str> {
     found.map(|(_, how)| how.as_str())
 }
 
-/// What the boxes are by which clips were judged.
+/// Names the boxes by which the clips were judged.
 fn truth(report: &Report) -> &'static str {
     match judged(report) {
         Some(how) if how.contains("its own output") => "the detector's own boxes",
@@ -94,7 +94,7 @@ fn truth(report: &Report) -> &'static str {
     }
 }
 
-/// Renders by what it was judged, then the conclusion; both come first.
+/// Renders what comes first: how the clips were judged, then the conclusion.
 fn concluded(report: &Report) -> Markup {
     html! {
         div.conclusion {
@@ -187,10 +187,11 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
         ["Policy", ""],
         policies.map(str::to_owned).collect(),
     )];
-    columns.extend(names.into_iter().map(|name| {
-        let cell = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
-        Column::new([name, ""], summaries.iter().map(cell).collect())
-    }));
+    for name in names {
+        let ap50 = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
+        let cells = summaries.iter().map(ap50).collect();
+        columns.push(Column::new([name, ""], cells));
+    }
     html! {
         section {
             h2 { "AP@50 by class" }

@@ -35,7 +35,7 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Plot>, PlotError> {
         svg: states(&report.policies)?,
     });
     let changes = changes(&report.clips, &families);
-    if changes.iter().any(|changes| !changes.is_empty()) {
+    if changes.iter().any(|of_family| !of_family.is_empty()) {
         figures.push(Plot {
             name: "clips-ap50-change-against-skip-rate",
             title: "Change of accuracy clip by clip",
@@ -105,7 +105,7 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
         plane.draw_series(whiskers)?;
         for (index, family) in families.iter().enumerate() {
             let color = color_of(index, family);
-            let own = |summary: &PolicySummary| split_label(&summary.policy).0 == *family;
+            let own = |summary: &PolicySummary| is_of_family(&summary.policy, family);
             plane.draw_series(LineSeries::new(places(&own), color))?;
             mark(plane, &places(&own), index, WHITE.filled())?;
             mark(plane, &places(&own), index, color.stroke_width(2))?;
@@ -114,6 +114,12 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
         }
         settings(plane, &judged)
     })
+}
+
+/// True if a policy's label is of `family`.
+fn is_of_family(label: &str, family: &str) -> bool {
+    let (own, _) = split_label(label);
+    own == family
 }
 
 /// Returns the 95 % interval of a policy's AP@50.
@@ -177,9 +183,9 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
 /// Returns skip rate (percent) and change of AP@50 (percentage points) of every clip with ground truth, by family.
 fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
     let ap50 = |result: &ClipResult| result.accuracy.map(|accuracy| accuracy.ap50);
-    let (baselines, others): (Vec<_>, Vec<_>) =
+    let (of_baseline, others): (Vec<_>, Vec<_>) =
         results.iter().partition(|result| result.policy == BASELINE);
-    let baselines: HashMap<&str, f64> = baselines
+    let baselines: HashMap<&str, f64> = of_baseline
         .into_iter()
         .filter_map(|result| Some((result.clip.as_str(), ap50(result)?)))
         .collect();
@@ -188,7 +194,7 @@ fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
         Some((result.skip_rate() * 100.0, (ap50(result)? - before) * 100.0))
     };
     let of = |family: &&str| {
-        let own = others.iter().filter(|result| split_label(&result.policy).0 == *family);
+        let own = others.iter().filter(|result| is_of_family(&result.policy, family));
         own.filter_map(change).collect()
     };
     families.iter().map(of).collect()

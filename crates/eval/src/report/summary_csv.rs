@@ -2,8 +2,8 @@
 //!
 //! The first columns are those of the summary published with the golden traces. `ap50` and `map` follow
 //! the run's profile; `_decayed` and `_lastconf` are the published scoring's two definitions of confidence
-//! and empty under profile `paper`, where the judged boxes are the published ones and `_all` is for all boxes of the policy.
-//! A figure that does not exist is an empty cell, never a zero.
+//! and empty under profile `paper`, where the judged boxes are the published ones and `_all` is for all boxes of the
+//! policy. A figure that does not exist is an empty cell, never a zero.
 
 use crate::judge::Accuracy;
 use crate::result::ClipResult;

@@ -8,7 +8,8 @@ use crate::text::{
 };
 use albireo_core::policy::FrameState;
 
-/// Formats the tables of a run, at most `width` characters wide: the figures with one line per policy, and those below them.
+/// Formats the tables of a run, at most `width` characters wide: the figures with one line per policy, and those below
+/// them.
 pub fn render(summaries: &[PolicySummary], width: usize) -> String {
     let mut text = figures(summaries, width);
     for (title, columns) in below(summaries) {
@@ -20,8 +21,8 @@ pub fn render(summaries: &[PolicySummary], width: usize) -> String {
     text
 }
 
-/// Formats the table of the figures. Columns with a rank that do not fit are left out, and a note names them; others that
-/// do not fit follow below.
+/// Formats the table of the figures. Columns with a rank that do not fit are left out, and a note names them; others
+/// that do not fit follow below.
 fn figures(summaries: &[PolicySummary], width: usize) -> String {
     let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
@@ -32,7 +33,8 @@ fn figures(summaries: &[PolicySummary], width: usize) -> String {
         let Some(index) = can_go.max_by_key(|&index| (columns[index].rank, index)) else {
             break;
         };
-        left_out.push(columns.remove(index).column.heads.join(" "));
+        let gone = columns.remove(index);
+        left_out.push(gone.column.heads.join(" "));
     }
     let kept: Vec<Column> = columns.into_iter().map(|ranked| ranked.column).collect();
     let mut text = fitted(&kept, " ", width);
@@ -85,8 +87,8 @@ fn pooled(summaries: &[PolicySummary]) -> Option<(String, Vec<Column>)> {
     Some((title, columns))
 }
 
-/// Returns the tables of the differences to the baseline, each with its title: of the boxes that a node publishes, then of
-/// all boxes. A table without a figure is left out.
+/// Returns the tables of the differences to the baseline, each with its title: of the boxes that a node publishes, then
+/// of all boxes. A table without a figure is left out.
 fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
     let others: Vec<&PolicySummary> =
         summaries.iter().filter(|summary| summary.policy != BASELINE).collect();
@@ -145,13 +147,14 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
     tables
 }
 
-/// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those on
-/// the Pareto frontier of AP@50 and skip rate.
+/// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those
+/// on the Pareto frontier of AP@50 and skip rate.
 pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
     ranked(summaries).into_iter().map(|ranked| ranked.column).collect()
 }
 
-/// A column, and its rank: if the table is too wide, those of the highest rank are left out first.
+/// A column, and its rank: if the table is too wide, those of the highest rank are left out first, and those of rank 0
+/// never.
 struct RankedColumn {
     rank: u8,
     column: Column,
@@ -187,7 +190,8 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<RankedColumn> {
             two_decimals(summary.newcomers.map(|new| new.frames))
         }),
         column(["new", "ms"], 0, &|summary| {
-            or_dash(summary.newcomers.and_then(|new| Some(format!("{:.0}", new.ms?))))
+            let ms = summary.newcomers.and_then(|new| new.ms);
+            or_dash(ms.map(|ms| format!("{ms:.0}")))
         }),
         column(["never", "%"], 0, &|summary| {
             one_decimal(summary.newcomers.map(|new| 100.0 * new.never_found))
@@ -204,13 +208,7 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<RankedColumn> {
         column(["HOTA", ">=.3"], 3, &|summary| three_decimals(summary.hota)),
         column(["IDF1", ">=.3"], 4, &|summary| three_decimals(summary.idf1)),
         column(["time", "ms"], 4, &|summary| {
-            or_dash(summary.frame_time_ms.map(|(time, kind)| {
-                let mark = match kind {
-                    Provenance::Composed => "c",
-                    Provenance::Projected => "p",
-                };
-                format!("{time:.1}{mark}")
-            }))
+            or_dash(summary.frame_time_ms.map(marked_time))
         }),
         column(["energy", "J"], 3, &|summary| {
             or_dash(summary.energy.map(|energy| format!("{:.0}p", energy.joules)))
@@ -221,6 +219,15 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<RankedColumn> {
     ]);
     columns.retain(|ranked| ranked.column.cells.iter().any(|cell| cell != "-"));
     columns
+}
+
+/// Formats a time with the mark of its origin, which [`notes`] explains: `12.3c`.
+fn marked_time((time, origin): (f64, Provenance)) -> String {
+    let mark = match origin {
+        Provenance::Composed => "c",
+        Provenance::Projected => "p",
+    };
+    format!("{time:.1}{mark}")
 }
 
 fn percent(share: f64) -> String {
@@ -237,13 +244,10 @@ pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
         counted(clips, "clip")
     )];
     if without > 0 {
-        let (clips, are) = if without == 1 {
-            ("clip", "is")
-        } else {
-            ("clips", "are")
-        };
+        let are = if without == 1 { "is" } else { "are" };
         notes.push(format!(
-            "{without} {clips} without ground truth {are} not in the means."
+            "{} without ground truth {are} not in the means.",
+            counted(without, "clip")
         ));
     }
     if summaries.iter().any(|summary| summary.ap50_all.is_some()) {
@@ -255,8 +259,8 @@ pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
         notes.push(NEWCOMERS.to_owned());
     }
     let times = || summaries.iter().filter_map(|summary| summary.frame_time_ms);
-    let energy = summaries.iter().any(|summary| summary.energy.is_some());
-    if energy || times().any(|(_, kind)| kind == Provenance::Projected) {
+    let has_energy = summaries.iter().any(|summary| summary.energy.is_some());
+    if has_energy || times().any(|(_, kind)| kind == Provenance::Projected) {
         notes.push("p: projected from an energy model, not measured.".to_owned());
     }
     if times().any(|(_, kind)| kind == Provenance::Composed) {

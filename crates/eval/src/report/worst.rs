@@ -12,8 +12,8 @@ use maud::{Markup, html};
 /// The number of frames that are shown per policy.
 const SHOWN: usize = 3;
 
-/// Renders the frames of each policy that lost the most objects over all clips; a sentence if none were lost. `truth` says
-/// what the objects are.
+/// Renders the frames of each policy that lost the most objects over all clips; a sentence if none were lost. `truth`
+/// says what the objects are.
 pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
     let lost = results.iter().filter(|result| !result.worst.is_empty());
     let policies = shown_policies(lost.map(|result| result.policy.as_str()));
@@ -27,6 +27,8 @@ pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
             }
         };
     }
+    let mut drawn = results.iter().flat_map(|result| &result.worst);
+    let without_pictures = drawn.all(|worst| worst.picture.is_none());
     html! {
         section {
             h2 { "Where it was lost" }
@@ -35,7 +37,7 @@ pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
                  (IoU 0.5), and one of the detector's would have. Drawn are " span.truth-word { (truth) } " and "
                 span.found-word { "the policy's boxes" } ". At most " (SHOWN) " frames of a policy; of many policies, the first \
                  setting of each. Frames on which the detector ran are not among them, whatever it missed."
-                @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.picture.is_none()) {
+                @if without_pictures {
                     " The recording has detections and no pictures, so only boxes are drawn."
                 }
             }
@@ -111,21 +113,18 @@ fn picture(place: &str, worst: &WorstFrame) -> Markup {
 /// Encodes a picture as part of the page, so that the page can be opened anywhere. `None` if the picture cannot be read
 /// or browsers do not show its format.
 fn data_uri(picture: &FramePicture) -> Option<String> {
-    let (format, bytes) = match picture {
-        FramePicture::Encoded(picture) => (picture.format, picture.bytes.clone()),
-        FramePicture::File(path) => {
-            let read = read_picture_file(path).ok()?;
-            (read.format, read.bytes)
-        }
+    let encoded = match picture {
+        FramePicture::Encoded(encoded) => encoded.clone(),
+        FramePicture::File(path) => read_picture_file(path).ok()?,
     };
-    let kind = match format {
+    let kind = match encoded.format {
         PictureFormat::Jpeg => "jpeg",
         PictureFormat::Png => "png",
         _ => return None,
     };
     Some(format!(
         "data:image/{kind};base64,{}",
-        BASE64_STANDARD.encode(&bytes)
+        BASE64_STANDARD.encode(&encoded.bytes)
     ))
 }
 
@@ -143,15 +142,11 @@ mod tests {
     use super::*;
     use albireo_core::geometry::PictureSize;
     use albireo_core::policy::FrameState;
+    use std::path::PathBuf;
 
-    #[test]
-    fn boxes_are_drawn_over_their_picture_or_alone_without_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("1.jpg");
-        let encoder = jpeg_encoder::Encoder::new_file(&file, 80).unwrap();
-        let rgb = jpeg_encoder::ColorType::Rgb;
-        encoder.encode(&[0; 3 * 16 * 16], 16, 16, rgb).unwrap();
-        let mut worst = WorstFrame {
+    /// Draws a frame with one lost object, whose picture is in `file`.
+    fn drawn_with(file: PathBuf) -> String {
+        let worst = WorstFrame {
             frame: 3,
             state: FrameState::P,
             lost: 1,
@@ -160,11 +155,25 @@ mod tests {
             found: Vec::new(),
             picture: Some(FramePicture::File(file)),
         };
-        let drawn = picture("a clip", &worst).into_string();
+        picture("a clip", &worst).into_string()
+    }
+
+    #[test]
+    fn boxes_are_drawn_over_their_picture() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("1.jpg");
+        let encoder = jpeg_encoder::Encoder::new_file(&file, 80).unwrap();
+        let rgb = jpeg_encoder::ColorType::Rgb;
+        encoder.encode(&[0; 3 * 16 * 16], 16, 16, rgb).unwrap();
+        let drawn = drawn_with(file);
         let place = |part: &str| drawn.find(part).expect(part);
         assert!(place("data:image/jpeg;base64,/9j/") < place("class=\"truth\""));
-        worst.picture = Some(FramePicture::File(folder.path().join("gone.jpg")));
-        let drawn = picture("a clip", &worst).into_string();
+    }
+
+    #[test]
+    fn boxes_are_drawn_alone_if_their_picture_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let drawn = drawn_with(folder.path().join("gone.jpg"));
         assert!(!drawn.contains("<image"));
         assert!(drawn.contains("class=\"truth\""));
     }

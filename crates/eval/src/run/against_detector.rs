@@ -9,8 +9,8 @@ use crate::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 
-/// Replays `clip` through `policy` from its initial state, and compares its boxes with the detector's on the frames that
-/// skipped the detector. Returns one entry per frame; `None` if the detector ran or the frame was degraded.
+/// Replays `clip` through `policy` from its initial state, and compares its boxes with the detector's on the frames
+/// that skipped the detector. Returns one entry per frame; `None` if the detector ran or the frame was degraded.
 ///
 /// # Errors
 /// [`EvalError`] when the clip does not have what the policy needs.

@@ -11,7 +11,7 @@ use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
 use crate::judge::{Truth, accuracy, newcomers};
-use crate::replay::{ClipFrame, StoredEvidence, drive, score_node_boxes};
+use crate::replay::{ClipFrame, StoredEvidence, drive, score_all, score_published};
 use crate::result::ClipResult;
 use crate::settings::Settings;
 use crate::spec::{BASELINE, PolicySpec, short_label};
@@ -55,7 +55,7 @@ pub struct StreamResults {
 struct Published {
     boxes: Vec<Vec<OutputBox>>,
     calls: usize,
-    /// The delays of all frames together, in frames.
+    /// The delays of all frames together, in frames. Those that are settled by the end of the clip count as 0.
     delay: u64,
 }
 
@@ -69,11 +69,12 @@ pub fn run<'a>(
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, EvalError> {
+    let do_nothing = || ();
     let results = in_parallel(
         clips,
         policies,
         settings,
-        &|| (),
+        &do_nothing,
         &|clip, spec, settings| run_clip(clip, spec, settings, &stream),
     )?;
     Ok(StreamResults { stream, results })
@@ -112,13 +113,11 @@ fn run_clip(
         ignored: &clip.ignored,
     };
     let min_confidence = settings.min_confidence();
-    // The boxes that a node publishes, and all boxes, however faint.
     let mut boxes = Vec::with_capacity(clip.frames);
     let mut all = Vec::with_capacity(clip.frames);
     for frame in &published.boxes {
-        let (shown, with_faint) = score_node_boxes(frame, clip.picture, min_confidence);
-        boxes.push(shown);
-        all.push(with_faint);
+        boxes.push(score_published(frame, clip.picture, min_confidence));
+        all.push(score_all(frame, clip.picture));
     }
     let accuracy_of =
         |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
@@ -135,16 +134,20 @@ fn publish(
     stream: &Stream,
     interval: f64,
 ) -> Result<Published, EvalError> {
-    let Stream::AtArrival { detector } = stream else {
-        // Longer than any delay of a settled frame, and short enough for a `Duration`.
-        let interval = Duration::from_secs_f64(interval.min(10.0));
-        return settled(&mut *policy, source, interval);
-    };
-    let timing = Timing { interval, detector };
-    if policy.can_rewind() {
-        at_once(policy, source, timing)
-    } else {
-        when_known(&mut *policy, source, timing)
+    match stream {
+        Stream::Settled => {
+            // Ten seconds are longer than any delay of a settled frame, and short enough for a `Duration`.
+            let capped = Duration::from_secs_f64(interval.min(10.0));
+            settled(&mut *policy, source, capped)
+        }
+        Stream::AtArrival { detector } => {
+            let timing = Timing { interval, detector };
+            if policy.can_rewind() {
+                at_once(policy, source, timing)
+            } else {
+                when_known(&mut *policy, source, timing)
+            }
+        }
     }
 }
 
@@ -212,7 +215,9 @@ fn at_once(
                 .deliver(earlier.frame as u64, evidence, &mut unused)
                 .map_err(EvalError::new)?;
             waiting = Waiting::new(earlier.frame, need, earlier.met_at, timing, published.calls);
-            published.calls += usize::from(need == Need::Detections);
+            if need == Need::Detections {
+                published.calls += 1;
+            }
         }
         // Every frame is answered.
         let step = 1;
@@ -220,7 +225,9 @@ fn at_once(
         if need != Need::Nothing {
             waiting = Waiting::new(frame, need, now, timing, published.calls);
         }
-        published.calls += usize::from(need == Need::Detections);
+        if need == Need::Detections {
+            published.calls += 1;
+        }
         published.boxes.push(outcome.boxes.clone());
     }
     Ok(published)
@@ -278,7 +285,9 @@ fn settled(
     let mut boxes = Vec::new();
     let mut delay = 0;
     drive(policy, source, &mut |_, decided| {
-        calls += usize::from(decided.record.detector);
+        if decided.record.detector {
+            calls += 1;
+        }
         let now = decided.head.index;
         let time = interval.saturating_mul(u32::try_from(now).unwrap_or(u32::MAX));
         // The answer is final: the detector takes no time.
@@ -327,7 +336,7 @@ impl StreamResults {
             ),
             Stream::Settled => "Judged when settled between two detector calls".to_owned(),
         };
-        let mut summaries = summarise(&self.results);
+        let summaries = summarise(&self.results);
         let clips = summaries.first().map_or(0, |first| first.clips);
         type Cell = fn(&PolicySummary) -> String;
         let table = |summaries: &[PolicySummary], columns: &[(&str, Cell)]| {
@@ -359,9 +368,10 @@ impl StreamResults {
                 }),
             ],
         );
-        summaries.retain(|summary| summary.policy != BASELINE);
+        let is_compared = |summary: &PolicySummary| summary.policy != BASELINE;
+        let compared: Vec<PolicySummary> = summaries.into_iter().filter(is_compared).collect();
         let differences = table(
-            &summaries,
+            &compared,
             &[
                 ("policy", |summary| short_label(&summary.policy).to_owned()),
                 ("AP@50", |summary| points(summary.ap50_change)),

@@ -37,8 +37,8 @@ pub(crate) fn shown_policies<'a>(labels: impl IntoIterator<Item = &'a str>) -> V
     first
 }
 
-/// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
-/// start to the last of these frames, without its `unusable` pictures.
+/// Gives the frames in `results`, which are of one clip, their pictures from `source`, for the policies that are shown.
+/// The source is read again from its start to the last of these frames, without its `unusable` pictures.
 ///
 /// # Errors
 /// [`EvalError`] when the source cannot be read again; the frames then keep their boxes.
@@ -115,8 +115,11 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
     losses.sort_by_key(|loss| (std::cmp::Reverse(loss.lost), loss.frame));
     let mut kept: Vec<WorstFrame> = Vec::new();
     for Loss { frame, lost } in losses {
+        if kept.len() == KEPT {
+            break;
+        }
         let near = |other: &WorstFrame| other.frame.abs_diff(frame) < MIN_DISTANCE;
-        if kept.len() == KEPT || kept.iter().any(near) {
+        if kept.iter().any(near) {
             continue;
         }
         kept.push(WorstFrame {

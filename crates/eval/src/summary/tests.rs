@@ -30,8 +30,8 @@ fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipRe
     result
 }
 
-#[test]
-fn differences_are_taken_clip_by_clip_over_the_clips_with_ground_truth() {
+/// The summaries of vanilla and albireo over three clips, of which the last has no ground truth.
+fn vanilla_and_albireo() -> [PolicySummary; 2] {
     let results = [
         result("a", "vanilla", Some(0.5), 0),
         result("b", "vanilla", Some(0.7), 0),
@@ -40,14 +40,23 @@ fn differences_are_taken_clip_by_clip_over_the_clips_with_ground_truth() {
         result("b", "albireo", Some(0.6), 4),
         result("c", "albireo", None, 6),
     ];
-    let summaries = summarise(&results);
-    assert_eq!(summaries[0].policy, "vanilla");
-    assert_eq!(summaries[0].ap50_change, None);
-    let albireo = &summaries[1];
+    summarise(&results).try_into().expect("one summary for each policy")
+}
+
+#[test]
+fn means_are_taken_over_the_clips_with_ground_truth() {
+    let [_, albireo] = vanilla_and_albireo();
     assert_eq!(albireo.clips, 2);
     assert_eq!(albireo.clips_without_truth, 1);
     assert!((albireo.skip_rate - 0.3).abs() < 1e-15);
     assert!((albireo.ap50.expect("two clips have it") - 0.6).abs() < 1e-15);
+}
+
+#[test]
+fn differences_are_taken_clip_by_clip_over_the_clips_with_ground_truth() {
+    let [vanilla, albireo] = vanilla_and_albireo();
+    assert_eq!(vanilla.policy, "vanilla");
+    assert_eq!(vanilla.ap50_change, None);
     let difference = albireo.ap50_change.expect("two clips are compared");
     assert_eq!(difference.clips, 2);
     assert!(difference.mean.abs() < 1e-15);
@@ -65,41 +74,62 @@ fn the_skip_frontier_contains_every_unbeaten_policy() {
     assert_eq!(on_frontier, [true, true, false]);
 }
 
+/// The objects of a clip, one on each frame.
+fn one_on_each(frames: usize) -> Vec<Vec<ScoredBox>> {
+    vec![vec![at(0.0, 1.0)]; frames]
+}
+
+/// The result of vanilla on a clip with [`one_on_each`] frame, of whose objects one is never found.
+fn judged(clip: &str, found: &[Vec<ScoredBox>]) -> ClipResult {
+    let objects = one_on_each(found.len());
+    let matches = Matches::of(found, Truth::from(&objects), Interpolation::AllPoints);
+    let states = vec![FrameState::P; found.len()];
+    ClipResult {
+        accuracy: matches.accuracy(),
+        matches: Some(matches),
+        newcomers: Some(Newcomers {
+            objects: found.len(),
+            never_found: 1,
+            delay_frames: found.len() as f64,
+        }),
+        ..of_states(clip, "vanilla", &states)
+    }
+}
+
+/// The boxes of a clip of two frames, of which the surer is wrong.
+fn surest_is_wrong() -> Vec<Vec<ScoredBox>> {
+    vec![vec![at(50.0, 0.9)], vec![at(0.0, 0.8)]]
+}
+
+/// The boxes of a clip of six frames, which are all right.
+fn all_right() -> Vec<Vec<ScoredBox>> {
+    vec![vec![at(0.0, 0.7)]; 6]
+}
+
 #[test]
-fn pooled_figures_are_those_of_the_clips_as_one() {
-    let truth = |frames: usize| vec![vec![at(0.0, 1.0)]; frames];
-    // The surest box is wrong. It is one of two boxes of the first clip, and one of eight of both, so that it costs the mean of
-    // the clips more than the figure of both as one.
-    let found = [
-        vec![vec![at(50.0, 0.9)], vec![at(0.0, 0.8)]],
-        vec![vec![at(0.0, 0.7)]; 6],
-    ];
-    let result_of = |clip: &str, found: &[Vec<ScoredBox>]| {
-        let objects = truth(found.len());
-        let matches = Matches::of(found, Truth::from(&objects), Interpolation::AllPoints);
-        let states = vec![FrameState::P; found.len()];
-        ClipResult {
-            accuracy: matches.accuracy(),
-            matches: Some(matches),
-            newcomers: Some(Newcomers {
-                objects: found.len(),
-                never_found: 1,
-                delay_frames: found.len() as f64,
-            }),
-            ..of_states(clip, "vanilla", &states)
-        }
-    };
-    let results = [result_of("a", &found[0]), result_of("b", &found[1])];
+fn pooled_accuracy_is_that_of_the_clips_as_one() {
+    let results = [judged("a", &surest_is_wrong()), judged("b", &all_right())];
     let summary = &summarise(&results)[0];
-    let as_one = pooled(&found.concat(), &truth(8));
-    let pooled = summary.pooled.expect("two clips");
-    assert_eq!(pooled.ap50, as_one.ap50);
-    assert_eq!(pooled.map, as_one.map);
-    assert_eq!(pooled.truths, 8);
-    // The mean over the clips is another one.
-    assert!((summary.ap50.unwrap() - pooled.ap50).abs() > 0.05);
-    assert_eq!(pooled.objects, 8);
-    assert_eq!(pooled.never_found, 2);
-    assert_eq!(pooled.delay_frames, Some((2.0 * 2.0 + 6.0 * 6.0) / 8.0));
-    assert_eq!(summarise(&results[..1])[0].pooled, None);
+    let as_one = pooled(&[surest_is_wrong(), all_right()].concat(), &one_on_each(8));
+    let figures = summary.pooled.expect("two clips");
+    assert_eq!(figures.ap50, as_one.ap50);
+    assert_eq!(figures.map, as_one.map);
+    assert_eq!(figures.truths, 8);
+    // The wrong box is one of two of its clip, and one of eight of both, so that it costs the mean over the clips more.
+    assert!((summary.ap50.unwrap() - figures.ap50).abs() > 0.05);
+}
+
+#[test]
+fn pooled_delays_count_each_object_once() {
+    let results = [judged("a", &surest_is_wrong()), judged("b", &all_right())];
+    let figures = summarise(&results)[0].pooled.expect("two clips");
+    assert_eq!(figures.objects, 8);
+    assert_eq!(figures.never_found, 2);
+    assert_eq!(figures.delay_frames, Some((2.0 * 2.0 + 6.0 * 6.0) / 8.0));
+}
+
+#[test]
+fn one_clip_has_no_pooled_figures() {
+    let results = [judged("a", &surest_is_wrong())];
+    assert_eq!(summarise(&results)[0].pooled, None);
 }

@@ -32,7 +32,8 @@ pub fn are_of_coco(names: &[String]) -> bool {
     let is_known =
         |name: &&String| COCO_CLASSES.lines().any(|class| class.eq_ignore_ascii_case(name));
     let used = names.iter().filter(|name| !name.is_empty()).count();
-    used == 80 && names.iter().filter(is_known).count() >= 70
+    let known = names.iter().filter(is_known).count();
+    used == 80 && known >= 70
 }
 
 /// The number of names that are configured or in the metadata, if there are any that can be read.
@@ -61,8 +62,8 @@ pub(super) fn read(
         && !head.fits_names(count)
     {
         return Err(wrong(format!(
-            "the model, read with the head `{}`, has another number of classes than {source} has names, {classes} and {count}; if the names are \
-             right, another head belongs to the model (detector.head)",
+            "the model, read with the head `{}`, has another number of classes than {source} has names, {classes} and \
+             {count}; if the names are right, another head belongs to the model (detector.head)",
             head.name.as_str()
         )));
     }
@@ -146,10 +147,10 @@ fn coco() -> Vec<String> {
 
 /// The list that belongs to a head, if it has as many names as there are classes.
 fn own_list(head: &Head) -> Option<Vec<String>> {
-    let classes = head.classes?;
-    match (head.name, classes) {
-        (_, 80) => Some(coco()),
-        (HeadName::Detr | HeadName::RtDetr, 91) => Some(coco_categories()),
+    let has_categories = matches!(head.name, HeadName::Detr | HeadName::RtDetr);
+    match head.classes? {
+        80 => Some(coco()),
+        91 if has_categories => Some(coco_categories()),
         _ => None,
     }
 }
@@ -186,8 +187,8 @@ fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
         .enumerate()
         .map(|(place, name)| after_number(name, place))
         .collect();
-    let names = after_numbers.unwrap_or(names);
-    Ok(names.into_iter().map(str::to_owned).collect())
+    let plain = after_numbers.unwrap_or(names);
+    Ok(plain.into_iter().map(str::to_owned).collect())
 }
 
 /// The text of a file in UTF-8, or in UTF-16 with a byte-order mark.
@@ -230,9 +231,10 @@ mod tests {
     use crate::detector::head::tests::bound;
     use crate::onnx::metadata;
 
-    /// A head of this name for a model with this number of classes.
+    /// A head of this name for a model with this number of classes; `None` only for the end-to-end head, whose output
+    /// does not show it.
     fn head(name: HeadName, classes: Option<usize>) -> Head {
-        let classes = classes.map_or(-1, |classes| classes as i64);
+        let classes = classes.unwrap_or_default() as i64;
         match name {
             HeadName::Detr => bound(
                 name,
@@ -252,21 +254,28 @@ mod tests {
         (file, names)
     }
 
+    /// The names of a model that nothing names, by the head and the number of classes.
+    fn unnamed(name: HeadName, classes: Option<usize>) -> Result<Vec<String>, StartError> {
+        read(None, &Metadata::default(), &head(name, classes))
+    }
+
     #[test]
     fn without_names_the_heads_list_is_used_if_its_length_fits() {
-        use HeadName::{Detr, EndToEnd, Yolo, Yolox};
-        let none = Metadata::default();
-        let names = |name, classes| read(None, &none, &head(name, classes));
-        assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
-        assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
-        let categories = names(Detr, Some(91)).unwrap();
+        use HeadName::{Detr, Yolo, Yolox};
+        assert_eq!(unnamed(Yolox, Some(80)).unwrap()[2], "car");
+        assert_eq!(unnamed(Yolo, Some(80)).unwrap().len(), 80);
+        let categories = unnamed(Detr, Some(91)).unwrap();
         assert_eq!(categories.len(), 91);
         // Category numbers from the annotation files of COCO 2017.
         for (number, name) in [(0, ""), (3, "car"), (13, "stop sign"), (90, "toothbrush")] {
             assert_eq!(categories[number], name);
         }
-        for (name, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {
-            let error = names(name, classes).unwrap_err().to_string();
+    }
+
+    #[test]
+    fn without_names_and_without_a_list_that_fits_the_error_names_the_setting() {
+        for (name, classes) in [(HeadName::Yolo, Some(79)), (HeadName::EndToEnd, None)] {
+            let error = unnamed(name, classes).unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
         }
     }
@@ -367,7 +376,11 @@ mod tests {
         };
         assert_eq!(names("coco")[2], "car");
         assert_eq!(names("coco91")[3], "car");
-        assert!(are_of_coco(&names("coco")));
-        assert!(are_of_coco(&names("coco91")));
+    }
+
+    #[test]
+    fn both_lists_of_coco_are_of_coco() {
+        assert!(are_of_coco(&coco()));
+        assert!(are_of_coco(&coco_categories()));
     }
 }

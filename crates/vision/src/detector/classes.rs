@@ -69,14 +69,15 @@ impl Classes {
 
     /// The `wanted` classes, under their own name or a synonym.
     fn only(names: &[&str], wanted: &[&str]) -> Self {
-        let reported_as = |name: &str| {
+        let number_of = |name: &str| {
             let place = wanted.iter().position(|&wanted| wanted == name);
             place.map(number)
         };
         let mut by_model = Vec::with_capacity(names.len());
         for name in names {
-            let under_own_name = reported_as(name);
-            by_model.push(under_own_name.or_else(|| synonym(name).and_then(reported_as)));
+            let under_own_name = number_of(name);
+            let reported = under_own_name.or_else(|| synonym(name).and_then(number_of));
+            by_model.push(reported);
         }
         Self {
             reported: wanted.iter().map(|&name| name.to_owned()).collect(),
@@ -90,6 +91,12 @@ impl Classes {
         let mut reported: Vec<String> = Vec::new();
         let mut by_model = Vec::with_capacity(names.len());
         for &name in names {
+            if name.is_empty() {
+                // It takes a place, so that those behind it keep theirs.
+                reported.push(String::new());
+                by_model.push(None);
+                continue;
+            }
             let place = match reported.iter().position(|known| known == name) {
                 Some(place) => place,
                 None => {
@@ -97,11 +104,7 @@ impl Classes {
                     reported.len() - 1
                 }
             };
-            if name.is_empty() {
-                by_model.push(None);
-            } else {
-                by_model.push(Some(number(place)));
-            }
+            by_model.push(Some(number(place)));
         }
         Self {
             reported,
@@ -172,10 +175,22 @@ mod tests {
         let reported = [0, 1, 2, 3, 5, 7].map(|number| name(&coco, number).unwrap());
         let expected = ["pedestrian", "bicycle", "car", "motorcycle", "bus", "truck"];
         assert_eq!(reported, expected);
-        // COCO has no rider.
-        assert_eq!(coco.left_out.len(), names.len() - expected.len());
+    }
+
+    #[test]
+    fn classes_that_are_not_reported_are_left_out_by_name() {
+        let names: Vec<_> = COCO_CLASSES.lines().collect();
+        let coco = classes(&names, &DetectorConfig::default());
+        // COCO has all of BDD100K but the rider.
+        let reported = BDD100K_CLASSES.len() - 1;
+        assert_eq!(coco.left_out.len(), names.len() - reported);
         assert!(coco.left_out.contains(&"traffic light".to_owned()));
-        assert_eq!(coco.reported_as(ClassId(80)), None);
+    }
+
+    #[test]
+    fn a_number_beyond_the_names_is_no_class_of_the_model() {
+        let two = classes(&["car", "bus"], &DetectorConfig::default());
+        assert_eq!(two.reported_as(ClassId(2)), None);
     }
 
     #[test]
@@ -191,10 +206,10 @@ mod tests {
 
     #[test]
     fn a_class_without_a_name_is_not_reported_and_the_others_keep_their_numbers() {
-        let fish = classes(&["cod", "", "ray"], &DetectorConfig::default());
-        let reported = [0, 1, 2].map(|number| name(&fish, number));
-        assert_eq!(reported, [Some("cod"), None, Some("ray")]);
-        assert_eq!(fish.reported_as(ClassId(2)), Some(Some(ClassId(2))));
+        let fish = classes(&["cod", "", "", "ray"], &DetectorConfig::default());
+        let reported = [0, 1, 2, 3].map(|number| name(&fish, number));
+        assert_eq!(reported, [Some("cod"), None, None, Some("ray")]);
+        assert_eq!(fish.reported_as(ClassId(3)), Some(Some(ClassId(3))));
     }
 
     #[test]

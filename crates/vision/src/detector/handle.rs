@@ -79,18 +79,27 @@ impl DetectorHandle {
             let config = config.clone();
             let counting = head_meter.clone();
             let proof = proof.clone();
+            // Called again whenever the model is rebuilt.
             move || {
                 let network = DetectorNetwork::open_counting(&config, among, counting.clone())?;
                 Ok(network.proved_by(proof.clone()))
             }
         };
         // An engine takes minutes to build: whatever else is listed answers until then.
-        let waits = config.answers_while_building
+        let others_answer = config.answers_while_building
             && config.providers.len() > 1
             && config.providers.first() == Some(&ExecutionProvider::TensorRt);
-        let of_first = if waits { Among::Meanwhile } else { Among::All };
+        let of_first = if others_answer {
+            Among::Meanwhile
+        } else {
+            Among::All
+        };
         let first = build(of_first);
-        let successor: Option<Build<_>> = waits.then(|| Box::new(build(Among::TensorRt)) as _);
+        let successor: Option<Build<DetectorNetwork>> = if others_answer {
+            Some(Box::new(build(Among::TensorRt)))
+        } else {
+            None
+        };
         let meter = WorkerMeter::default();
         let (worker, facts) = Worker::start(settings, meter, first, successor).await?;
         Ok(Self {

@@ -112,9 +112,11 @@ impl Head {
     /// True if the model can have this number of class names. Models of the DETR family may end with a class for "no
     /// object".
     pub(super) fn fits_names(&self, names: usize) -> bool {
-        let has_background = matches!(self.name, HeadName::Detr | HeadName::RtDetr);
-        self.classes
-            .is_none_or(|classes| classes == names || (has_background && classes == names + 1))
+        let Some(classes) = self.classes else {
+            return true;
+        };
+        let may_have_background = matches!(self.name, HeadName::Detr | HeadName::RtDetr);
+        classes == names || (may_have_background && classes == names + 1)
     }
 }
 

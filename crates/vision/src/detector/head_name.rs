@@ -177,26 +177,30 @@ impl FromStr for HeadSetting {
         if let Some((head, _)) = named {
             return Ok(Self::Named(*head));
         }
-        let plain = |name: &str| name.to_lowercase().replace(['-', '_', ' '], "");
-        let meant = MEANT
-            .iter()
-            .copied()
-            .chain(NAMES.iter().map(|(head, name)| (*name, *head)))
-            .find(|(name, _)| plain(name) == plain(text))
-            .map(|(_, head)| match head {
-                HeadName::Columns => {
-                    " (the columns are listed: { columns = \"x1 y1 x2 y2 score class\" })"
-                        .to_owned()
-                }
-                head => format!(" (you mean `{}`)", head.as_str()),
-            });
+        let meant = match meant_by(text) {
+            Some(HeadName::Columns) => {
+                " (the columns are listed: { columns = \"x1 y1 x2 y2 score class\" })".to_owned()
+            }
+            Some(head) => format!(" (you mean `{}`)", head.as_str()),
+            None => String::new(),
+        };
         let names: Vec<_> = NAMES.iter().map(|(_, name)| *name).collect();
         Err(format!(
-            "`{text}` is no head{}; the heads are {}",
-            meant.unwrap_or_default(),
+            "`{text}` is no head{meant}; the heads are {}",
             names.join(", ")
         ))
     }
+}
+
+/// The head that is meant by `text`: the name of a model, or that of a head in other letters or with other dashes.
+fn meant_by(text: &str) -> Option<HeadName> {
+    let plain = |name: &str| name.to_lowercase().replace(['-', '_', ' '], "");
+    let wanted = plain(text);
+    if let Some((_, head)) = MEANT.iter().find(|(model, _)| *model == wanted) {
+        return Some(*head);
+    }
+    let (head, _) = NAMES.iter().find(|(_, name)| plain(name) == wanted)?;
+    Some(*head)
 }
 
 impl fmt::Display for HeadSetting {
@@ -220,7 +224,6 @@ mod tests {
             ("YOLO_NAS", "you mean `yolo-nas`"),
             ("columns", "{ columns ="),
             ("zebra", "auto, yolo, yolov5"),
-            ("columns=x1 y1 x2 y2", "score"),
         ] {
             let error = text.parse::<HeadSetting>().unwrap_err();
             assert!(error.contains(said), "{error}");
@@ -228,7 +231,13 @@ mod tests {
     }
 
     #[test]
-    fn a_head_is_named_or_its_columns_are_listed() {
+    fn columns_without_a_score_are_refused() {
+        let error = "columns=x1 y1 x2 y2".parse::<HeadSetting>().unwrap_err();
+        assert!(error.contains("and a score"), "{error}");
+    }
+
+    #[test]
+    fn a_setting_is_written_as_it_was_read_from_a_command_line() {
         for text in ["auto", "d-fine", "columns=batch x1 y1 x2 y2 class score"] {
             assert_eq!(text.parse::<HeadSetting>().unwrap().to_string(), text);
         }

@@ -42,7 +42,7 @@ impl Heads {
         &self.largest
     }
 
-    /// The head of an input of `size`.
+    /// The head of an input of `size`, which is bound when the size first occurs.
     ///
     /// # Errors
     /// If it cannot read the model at this size.

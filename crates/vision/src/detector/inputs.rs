@@ -160,7 +160,8 @@ impl Inputs {
         self.0.uses.lock().values().cloned().collect()
     }
 
-    /// The input at which a picture of `source` runs now.
+    /// The input at which a picture of `source` runs now. Notes the first picture of each shape, and warns if it leaves
+    /// much of the only input empty.
     pub(crate) fn size_for(&self, source: PictureSize) -> PictureSize {
         let model = &self.0.model;
         let smallest = model.smallest_for(source);
@@ -188,7 +189,7 @@ impl Inputs {
     }
 
     /// Adds the comparison of one picture's boxes, or the reason why the model did not run at the smallest input; decides
-    /// when enough has been compared.
+    /// when enough has been compared, and logs the decision.
     pub(crate) fn add(&self, smallest: PictureSize, compared: Result<Agreement, String>) {
         let mut uses = self.0.uses.lock();
         let Some(found) = uses.get_mut(&key(smallest)) else {

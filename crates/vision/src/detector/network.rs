@@ -87,9 +87,12 @@ impl DetectorNetwork {
             .warm_up(config.batch_size)
             .map_err(|reason| StartError::first_run(&config.model, reason))?;
         network.session.keep_build_time(begun.elapsed());
-        if network.session.records()
-            && let Err(reason) = network.record_runs(&sizes, config.batch_size)
-        {
+        let recorded = if network.session.records() {
+            network.record_runs(&sizes, config.batch_size)
+        } else {
+            Ok(())
+        };
+        if let Err(reason) = recorded {
             warn!(reason, "{NOT_RECORDED}");
             let mut unrecorded = config.clone();
             unrecorded.gpu.cuda_graph = false;
@@ -123,7 +126,8 @@ impl DetectorNetwork {
         if self.input().open.is_some() && self.provider() != ExecutionProvider::Cpu {
             let smallest = self.input().smallest_for(USUAL_PICTURE);
             // If the model does not run at it, the comparison with the largest input tells.
-            if self.warm_up_at(smallest, batch_size).is_ok() {
+            let warmed = self.warm_up_at(smallest, batch_size);
+            if warmed.is_ok() {
                 sizes.push(smallest);
             }
         }
@@ -136,10 +140,13 @@ impl DetectorNetwork {
         for count in batch_sizes(batch_size).rev() {
             // Black pictures show nothing, however often.
             self.impossible_runs = 0;
-            self.run(&pictures[..count]).map_err(|error| match count {
-                1 => error.to_string(),
-                _ => format!("{error} (with detector.batch_size = {batch_size})"),
-            })?;
+            match self.run(&pictures[..count]) {
+                Ok(_) => {}
+                Err(error) if count == 1 => return Err(error.to_string()),
+                Err(error) => {
+                    return Err(format!("{error} (with detector.batch_size = {batch_size})"));
+                }
+            }
         }
         Ok(())
     }
@@ -355,7 +362,7 @@ impl Model for DetectorNetwork {
 /// The answer of one run.
 struct Answered {
     found: Vec<Found>,
-    /// The pictures of which only impossible boxes were found.
+    /// The number of pictures in which only impossible boxes were found.
     impossible: usize,
     /// What shows that another head is needed.
     doubt: Option<String>,
@@ -395,8 +402,8 @@ impl DetectorNetwork {
             for (number, picture) in pictures.iter().enumerate() {
                 let start = Instant::now();
                 let part = parts.as_ref().map(|parts| parts.get(outputs, number));
-                let outputs = part.as_deref().unwrap_or(outputs);
-                let read = reader.read(head, outputs, picture.mapping())?;
+                let of_picture = part.as_deref().unwrap_or(outputs);
+                let read = reader.read(head, of_picture, picture.mapping())?;
                 answered.found.push(Found {
                     detections: read.detections,
                     letterbox: picture.took(),
@@ -404,12 +411,16 @@ impl DetectorNetwork {
                     head: start.elapsed(),
                 });
                 answered.impossible += usize::from(read.is_impossible);
-                answered.doubt = answered.doubt.take().or(read.doubt);
+                if answered.doubt.is_none() {
+                    answered.doubt = read.doubt;
+                }
                 if size == format.size && picture.inputs().compared(picture.source()).is_some() {
-                    let boxes = reader.uncounted(head, outputs, picture.mapping(), least);
+                    let boxes = reader
+                        .uncounted(head, of_picture, picture.mapping(), least)
+                        .map_err(RunError::Failed)?;
                     answered.to_compare.push(Compared {
                         picture: number,
-                        boxes: boxes.map_err(RunError::Failed)?,
+                        boxes,
                     });
                 }
             }
@@ -423,17 +434,25 @@ impl DetectorNetwork {
         let Some(size) = picture.inputs().compared(picture.source()) else {
             return;
         };
+        let boxes = self.boxes_at(size, picture);
+        let agreement = boxes.map(|boxes| Agreement::of(largest, &boxes, self.confidence));
+        picture.inputs().add(size, agreement);
+    }
+
+    /// Runs the model on a picture at an input of `size`: the boxes to compare.
+    fn boxes_at(
+        &mut self,
+        size: PictureSize,
+        picture: &PreparedPicture,
+    ) -> Result<Vec<Detection>, String> {
         let format = self.preparation.format();
         let (values, mapping) = picture.tensor().cut(format, picture.source(), size);
         let least = Agreement::least_confidence(self.confidence);
+        let head = self.heads.at(size)?;
         let reader = &mut self.reader;
-        let boxes = self.heads.at(size).and_then(|head| {
-            self.session.run(format.shape_of(size), size, &[&values], |outputs| {
-                reader.uncounted(head, outputs, mapping, least)
-            })?
-        });
-        let agreement = boxes.map(|boxes| Agreement::of(largest, &boxes, self.confidence));
-        picture.inputs().add(size, agreement);
+        self.session.run(format.shape_of(size), size, &[&values], |outputs| {
+            reader.uncounted(head, outputs, mapping, least)
+        })?
     }
 }
 
@@ -465,14 +484,12 @@ mod tests {
         let sizes = recorded.warm_up(3).unwrap();
         recorded.record_runs(&sizes, 3).unwrap();
         let size = plain.input_format().size;
-        let pictures: Vec<_> = [[200, 0, 0], [0, 200, 0], [160, 160, 0]]
-            .into_iter()
-            .map(|rgb| {
-                let mut picture = Picture::black(size);
-                picture.pixels = rgb.repeat((size.width * size.height) as usize);
-                plain.preparation().prepare(&picture).unwrap()
-            })
-            .collect();
+        let filled_with = |rgb: [u8; 3]| {
+            let mut picture = Picture::black(size);
+            picture.pixels = rgb.repeat((size.width * size.height) as usize);
+            plain.preparation().prepare(&picture).unwrap()
+        };
+        let pictures = [[200, 0, 0], [0, 200, 0], [160, 160, 0]].map(filled_with);
         let detections = |network: &mut DetectorNetwork, pictures: &[PreparedPicture]| {
             let found = network.run(pictures).unwrap();
             found.into_iter().map(|found| found.detections).collect::<Vec<_>>()

@@ -27,13 +27,12 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
         })
     };
     // Where it does not run the sizes stay open, and the refusal says what is known.
-    let (Ok(at_largest), Ok(at_smaller)) = (shapes_at(input), shapes_at(smaller)) else {
+    let (Ok(all_at_largest), Ok(all_at_smaller)) = (shapes_at(input), shapes_at(smaller)) else {
         return signature;
     };
-    for (place, output) in signature.outputs.iter_mut().enumerate() {
-        if let (Some(at_largest), Some(at_smaller)) = (at_largest.get(place), at_smaller.get(place))
-            && is_open(output)
-        {
+    let shapes = all_at_largest.iter().zip(&all_at_smaller);
+    for (output, (at_largest, at_smaller)) in signature.outputs.iter_mut().zip(shapes) {
+        if is_open(output) {
             keep_last_equal(&mut output.shape, at_largest, at_smaller);
         }
     }

@@ -123,8 +123,8 @@ fn shapes(config: &DetectorConfig, signature: &Signature, input: ModelInput) -> 
 
 /// Half of each side, in whole strides: the least input that an engine of TensorRT is built for.
 pub(super) fn half(size: PictureSize, stride: u32) -> PictureSize {
-    let half = |side: u32| side.div_ceil(2).next_multiple_of(stride).min(side);
-    PictureSize::new(half(size.width), half(size.height))
+    let half_of = |side: u32| side.div_ceil(2).next_multiple_of(stride).min(side);
+    PictureSize::new(half_of(size.width), half_of(size.height))
 }
 
 /// The input of a model, and the sizes below the largest that it may run at: none, if its sides are fixed or any picture
@@ -142,9 +142,14 @@ pub(super) fn model_input(
     } else {
         PictureSize::new(1, 1)
     };
+    let open = if is_padded && signature.has_open_sides() {
+        Some(OpenSides { stride, least })
+    } else {
+        None
+    };
     ModelInput {
         format: prepared_format(config, format),
-        open: (is_padded && signature.has_open_sides()).then_some(OpenSides { stride, least }),
+        open,
         head: Some(head.name),
     }
 }
@@ -156,9 +161,9 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
     let is_split = |output: &TensorSpec| {
         output.shape.len() > 2 || output.name == "labels" || output.name == "scores"
     };
-    if config.batch_size == 1
-        || signature.inputs.iter().all(is_open) && signature.outputs.iter().all(is_split)
-    {
+    let takes_several = signature.inputs.iter().all(is_open);
+    let returns_several = signature.outputs.iter().all(is_split);
+    if config.batch_size == 1 || (takes_several && returns_several) {
         return Ok(());
     }
     Err(StartError::configuration(
@@ -193,6 +198,7 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
             StartError::does_not_fit(&config.model, &signature, head, reason)
         }
     };
+    let first_run = |reason: String| StartError::first_run(&config.model, reason);
     let names = class_names::count(config.class_names.as_ref(), &signature.metadata);
     if signature.lacks_size(config.input_size()) {
         // A model that no head reads is not asked for its size first.
@@ -217,15 +223,16 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
     let setting = match name {
         HeadName::Auto => {
             let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
-            let name = match found.only() {
-                Some(name) => name,
-                None => run_on_black(session, input, |outputs| {
-                    found.by_values(&signature, input, outputs)
-                })
-                .map_err(|reason| StartError::first_run(&config.model, reason))?
-                .map_err(&not_recognised)?,
+            let recognised = match found.only() {
+                Some(recognised) => recognised,
+                None => {
+                    let told = run_on_black(session, input, |outputs| {
+                        found.by_values(&signature, input, outputs)
+                    });
+                    told.map_err(first_run)?.map_err(&not_recognised)?
+                }
             };
-            HeadSetting::Named(name)
+            HeadSetting::Named(recognised)
         }
         _ => config.head.clone(),
     };
@@ -239,7 +246,7 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
     let evidence = run_on_black(session, input, |outputs| {
         bound.largest().evidence(outputs, LEAST_SCORE)
     });
-    match evidence.map_err(|reason| StartError::first_run(&config.model, reason))? {
+    match evidence.map_err(first_run)? {
         Evidence::Against(reason) => Err(does_not_fit(format!(
             "its shapes are those of the head `{}`, but {reason}. If you know the columns of its output, list them: \
              detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",

@@ -74,16 +74,13 @@ impl ProviderAgreement {
     fn pair(&mut self, one: &Detection, other: &Detection, size: PictureSize) {
         let sides = |found: &Detection| {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.corners();
-            [
-                (x1, size.width),
-                (x2, size.width),
-                (y1, size.height),
-                (y2, size.height),
-            ]
-            .map(|(place, pixels)| place * f64::from(pixels))
+            let width = f64::from(size.width);
+            let height = f64::from(size.height);
+            [x1 * width, x2 * width, y1 * height, y2 * height]
         };
-        for (side, other) in sides(one).into_iter().zip(sides(other)) {
-            self.farthest_px = self.farthest_px.max((side - other).abs());
+        for (side, other_side) in sides(one).into_iter().zip(sides(other)) {
+            let distance = (side - other_side).abs();
+            self.farthest_px = self.farthest_px.max(distance);
         }
         let difference = (one.confidence - other.confidence).abs();
         self.confidence = self.confidence.max(difference);
@@ -95,7 +92,7 @@ impl ProviderAgreement {
     }
 }
 
-/// The box of the same class that overlaps `one` most, if one does.
+/// The box of the same class that overlaps `one` most, if any overlaps it by [`LEAST_OVERLAP`].
 fn same<'a>(one: &Detection, others: &'a [Detection]) -> Option<&'a Detection> {
     let overlap = |other: &Detection| one.bounding_box.intersection_over_union(other.bounding_box);
     others
@@ -114,7 +111,7 @@ impl fmt::Display for ProviderAgreement {
             confidence,
         } = self;
         let provider = provider.as_str();
-        let boxes = match boxes {
+        let its_boxes = match boxes {
             1 => "its box".to_owned(),
             boxes => format!("its {boxes} boxes"),
         };
@@ -122,14 +119,14 @@ impl fmt::Display for ProviderAgreement {
         if self.agrees() {
             return write!(
                 f,
-                "`{provider}` finds what the CPU finds ({boxes} {within})"
+                "`{provider}` finds what the CPU finds ({its_boxes} {within})"
             );
         }
         write!(f, "`{provider}` finds something else than the CPU: ")?;
         if *unpaired > 0 {
             write!(
                 f,
-                "{unpaired} of {boxes} and those of the CPU are not found by the other, "
+                "{unpaired} of {its_boxes} and those of the CPU are not found by the other, "
             )?;
         }
         write!(
@@ -157,6 +154,7 @@ pub enum Precision {
 pub struct PrecisionProof {
     config: Arc<DetectorConfig>,
     outcome: Arc<Mutex<Precision>>,
+    /// The provider that was compared last.
     compared: Arc<Mutex<Option<ExecutionProvider>>>,
 }
 
@@ -174,8 +172,9 @@ impl PrecisionProof {
         self.outcome.lock().clone()
     }
 
-    /// Takes note of what `provider` found in a picture, and compares it with what the CPU finds, on a thread of its own:
-    /// the model is loaded there once more, for one run.
+    /// Compares what `provider` found in a picture with what the CPU finds, and returns the thread that does so: the
+    /// model is loaded there once more, for one run. Does nothing for the CPU itself, without boxes, and for the
+    /// provider that was compared last.
     pub(super) fn found(
         &self,
         provider: ExecutionProvider,
@@ -246,17 +245,17 @@ pub fn compare_with_cpu(
         ..config.clone()
     };
     let mut network = DetectorNetwork::open(&on_cpu)?;
-    // By other code than the graph in front of the model, which is compared, too.
-    let picture = picture
+    // Here, and not by the graph in front of the model, so that what the graph makes is compared, too.
+    let converted = picture
         .converted(network.input_format())
         .map_err(|fault| RunError::BadPicture(fault.to_string()))?;
-    let boxes = network.detect(&picture)?.detections;
+    let boxes = network.detect(&converted)?.detections;
     Ok(ProviderAgreement::of(
         provider,
         found,
         &boxes,
         config.confidence,
-        picture.size(),
+        converted.size(),
     ))
 }
 
@@ -296,18 +295,21 @@ mod tests {
         ] {
             let agreement = compared(&boxes, &on_cpu);
             assert_eq!(agreement.agrees(), agrees, "{agreement}");
-            let words = agreement.to_string();
-            assert_eq!(
-                words.contains("finds what the CPU finds"),
-                agrees,
-                "{words}"
-            );
-            assert_eq!(
-                words.contains("detector.gpu.fp16 = false"),
-                !agrees,
-                "{words}"
-            );
         }
+    }
+
+    #[test]
+    fn a_provider_that_agrees_is_said_to_find_what_the_cpu_finds() {
+        let words = compared(&[found(0.5, 0.8)], &[found(0.5, 0.8)]).to_string();
+        assert!(words.contains("finds what the CPU finds"), "{words}");
+        assert!(!words.contains("detector.gpu.fp16 = false"), "{words}");
+    }
+
+    #[test]
+    fn of_a_provider_that_does_not_agree_the_way_out_is_said() {
+        let words = compared(&[], &[found(0.5, 0.8)]).to_string();
+        assert!(words.contains("detector.gpu.fp16 = false"), "{words}");
+        assert!(!words.contains("finds what the CPU finds"), "{words}");
     }
 
     #[test]
@@ -318,36 +320,71 @@ mod tests {
         assert!(!compared(&[], &[found(0.5, 0.53)]).agrees());
     }
 
-    #[test]
-    #[ignore = "needs ONNX Runtime"]
-    fn the_first_picture_with_boxes_is_run_on_the_cpu_too_and_once_for_each_provider() {
-        let model = "../../tests/fixtures/models/colours.onnx";
-        let config = DetectorConfig {
-            model: std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(model),
-            ..DetectorConfig::default()
-        };
-        let mut network = DetectorNetwork::open(&config).unwrap();
-        let mut green = Picture::black(network.input_format().size);
-        for value in green.pixels.iter_mut().skip(1).step_by(3) {
-            *value = 204;
+    /// What a model has found in a green picture on the CPU, and a proof that has compared nothing yet.
+    struct GreenPicture {
+        proof: PrecisionProof,
+        picture: PreparedPicture,
+        boxes: Vec<Detection>,
+    }
+
+    impl GreenPicture {
+        fn new() -> Self {
+            let model = "../../tests/fixtures/models/colours.onnx";
+            let config = DetectorConfig {
+                model: std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(model),
+                ..DetectorConfig::default()
+            };
+            let mut network = DetectorNetwork::open(&config).unwrap();
+            let mut green = Picture::black(network.input_format().size);
+            for value in green.pixels.iter_mut().skip(1).step_by(3) {
+                *value = 204;
+            }
+            let picture = network.preparation().prepare(&green).unwrap();
+            let boxes = network.detect(&picture).unwrap().detections;
+            Self {
+                proof: PrecisionProof::new(&config),
+                picture,
+                boxes,
+            }
         }
-        let picture = network.preparation().prepare(&green).unwrap();
-        let mut boxes = network.detect(&picture).unwrap().detections;
-        let proof = PrecisionProof::new(&config);
-        assert!(proof.found(ExecutionProvider::Cpu, &picture, &boxes).is_none());
-        assert!(proof.found(TensorRt, &picture, &[]).is_none());
-        assert_eq!(proof.outcome(), Precision::NotCompared);
-        let compared = |provider, boxes: &[Detection]| {
-            proof.found(provider, &picture, boxes).unwrap().join().unwrap();
-            assert!(proof.found(provider, &picture, boxes).is_none());
-            match proof.outcome() {
+
+        /// The comparison of these boxes, as if `provider` had found them.
+        fn compared(&self, provider: ExecutionProvider) -> ProviderAgreement {
+            let thread = self.proof.found(provider, &self.picture, &self.boxes);
+            thread.unwrap().join().unwrap();
+            match self.proof.outcome() {
                 Precision::Compared(agreement) => agreement,
                 other => panic!("{other:?}"),
             }
-        };
-        assert!(compared(ExecutionProvider::Cuda, &boxes).agrees());
-        // Half precision that loses confidence.
-        boxes[0].confidence -= 0.03;
-        assert!(!compared(TensorRt, &boxes).agrees());
+        }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn neither_the_cpu_nor_a_picture_without_boxes_is_compared() {
+        let green = GreenPicture::new();
+        let on_cpu = green.proof.found(ExecutionProvider::Cpu, &green.picture, &green.boxes);
+        assert!(on_cpu.is_none());
+        assert!(green.proof.found(TensorRt, &green.picture, &[]).is_none());
+        assert_eq!(green.proof.outcome(), Precision::NotCompared);
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn the_first_picture_with_boxes_is_run_on_the_cpu_too_and_once_for_each_provider() {
+        let green = GreenPicture::new();
+        for provider in [ExecutionProvider::Cuda, TensorRt] {
+            assert!(green.compared(provider).agrees());
+            let again = green.proof.found(provider, &green.picture, &green.boxes);
+            assert!(again.is_none());
+        }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn a_provider_that_loses_confidence_in_half_precision_does_not_agree() {
+        let mut green = GreenPicture::new();
+        green.boxes[0].confidence -= 0.03;
+        assert!(!green.compared(TensorRt).agrees());
     }
 }

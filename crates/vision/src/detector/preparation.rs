@@ -79,12 +79,8 @@ impl Preparation {
         size: PictureSize,
     ) -> Result<PreparedPicture, FrameFault> {
         let start = Instant::now();
-        let idle = {
-            let mut idle = self.0.idle.lock();
-            let place = idle.iter().rposition(|letterbox| letterbox.size() == size);
-            place.map(|place| idle.swap_remove(place))
-        };
-        let mut letterbox = idle.unwrap_or_else(|| Letterbox::of_size(self.format(), size));
+        let reused = self.take_idle(size);
+        let mut letterbox = reused.unwrap_or_else(|| Letterbox::of_size(self.format(), size));
         let mapping = letterbox.fill(picture)?;
         Ok(PreparedPicture {
             letterbox: Some(letterbox),
@@ -93,6 +89,13 @@ impl Preparation {
             took: start.elapsed(),
             origin: self.clone(),
         })
+    }
+
+    /// Takes a buffer of `size` that is not in use, if there is one.
+    fn take_idle(&self, size: PictureSize) -> Option<Letterbox> {
+        let mut idle = self.0.idle.lock();
+        let place = idle.iter().rposition(|letterbox| letterbox.size() == size)?;
+        Some(idle.swap_remove(place))
     }
 }
 
@@ -128,8 +131,8 @@ impl PreparedPicture {
     /// None of a picture that was prepared.
     pub fn converted(&self, format: InputFormat) -> Result<Self, FrameFault> {
         let pixels = match self.tensor() {
-            // Other bytes are those of a model that takes bytes.
             InputTensor::Bytes(pixels) if self.origin.format() != format => pixels,
+            // Floats, or the bytes of a model that takes bytes, are in `format` already.
             InputTensor::Bytes(_) | InputTensor::Floats(_) => return Ok(self.copied()),
         };
         let size = self.size();
@@ -212,53 +215,72 @@ mod tests {
     use crate::detector::head::tests::bound;
     use crate::picture::InputElement;
 
+    fn format_of_model() -> InputFormat {
+        bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]).input_format
+    }
+
+    /// A picture of one value, prepared.
+    fn prepared_of(preparation: &Preparation, value: u8) -> PreparedPicture {
+        let mut picture = Picture::black(preparation.format().size);
+        picture.pixels.fill(value);
+        preparation.prepare(&picture).unwrap()
+    }
+
+    fn holds(prepared: &PreparedPicture, value: f32) -> bool {
+        prepared.tensor().to_floats().iter().all(|&it| it == value)
+    }
+
+    /// A picture of many values, prepared for a model with this input.
+    fn prepared_for(format: InputFormat) -> PreparedPicture {
+        let mut picture = Picture::black(PictureSize::new(64, 20));
+        for (place, value) in picture.pixels.iter_mut().enumerate() {
+            *value = (place % 251) as u8;
+        }
+        Preparation::new(format).prepare(&picture).unwrap()
+    }
+
     #[test]
-    fn pictures_prepared_in_parallel_have_separate_buffers_which_are_reused() {
-        let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-        let preparation = Preparation::new(head.input_format);
-        let prepared = |value: u8| {
-            let mut picture = Picture::black(head.input_format.size);
-            picture.pixels.fill(value);
-            preparation.prepare(&picture).unwrap()
-        };
-        let holds = |one: &PreparedPicture, value: f32| {
-            one.tensor().to_floats().iter().all(|&it| it == value)
-        };
-        let first = prepared(1);
-        let second = prepared(2);
+    fn pictures_that_are_prepared_at_once_have_separate_buffers() {
+        let preparation = Preparation::new(format_of_model());
+        let first = prepared_of(&preparation, 1);
+        let second = prepared_of(&preparation, 2);
         assert!(holds(&first, 1.0));
         assert!(holds(&second, 2.0));
+    }
+
+    #[test]
+    fn the_buffer_of_a_dropped_picture_is_reused() {
+        let preparation = Preparation::new(format_of_model());
+        let first = prepared_of(&preparation, 1);
+        let second = prepared_of(&preparation, 2);
         let buffer = first.tensor().to_floats().as_ptr();
         drop(first);
-        let third = prepared(3);
+        let third = prepared_of(&preparation, 3);
+        assert_eq!(third.tensor().to_floats().as_ptr(), buffer);
         assert!(holds(&third, 3.0));
         assert!(holds(&second, 2.0));
-        assert_eq!(third.tensor().to_floats().as_ptr(), buffer);
         drop(second);
         drop(third);
         assert_eq!(preparation.0.idle.lock().len(), 2);
     }
 
     #[test]
-    fn pixels_are_converted_to_the_models_format_and_bytes_of_a_model_that_takes_them_stay() {
-        let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-        let format = head.input_format;
-        let mut picture = Picture::black(PictureSize::new(64, 20));
-        for (place, value) in picture.pixels.iter_mut().enumerate() {
-            *value = (place % 251) as u8;
-        }
-        let prepared = |format| Preparation::new(format).prepare(&picture).unwrap();
-        let converted = prepared(format.as_pixels()).converted(format).unwrap();
-        assert_eq!(converted.tensor(), prepared(format).tensor());
-        assert_eq!(converted.mapping(), prepared(format).mapping());
+    fn pixels_are_converted_to_the_models_format() {
+        let format = format_of_model();
+        let converted = prepared_for(format.as_pixels()).converted(format).unwrap();
+        let expected = prepared_for(format);
+        assert_eq!(converted.tensor(), expected.tensor());
+        assert_eq!(converted.mapping(), expected.mapping());
+    }
+
+    #[test]
+    fn bytes_of_a_model_that_takes_them_stay() {
         let takes_bytes = InputFormat {
             element: InputElement::Byte,
-            ..format
+            ..format_of_model()
         };
-        let bytes = prepared(takes_bytes);
-        assert_eq!(
-            bytes.converted(takes_bytes).unwrap().tensor(),
-            bytes.tensor()
-        );
+        let bytes = prepared_for(takes_bytes);
+        let converted = bytes.converted(takes_bytes).unwrap();
+        assert_eq!(converted.tensor(), bytes.tensor());
     }
 }

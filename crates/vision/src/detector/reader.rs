@@ -56,8 +56,11 @@ pub(super) struct Reader {
     confidence: f64,
     suppression: Suppression,
     pub(super) classes: Classes,
+    /// What the head has read, with the model's classes. This and the next two are reused from picture to picture.
     candidates: Vec<Candidate>,
-    /// Candidates of classes that are not reported.
+    /// Those of classes that are reported, with the classes under which they are.
+    reported: Vec<Candidate>,
+    /// Those of classes that are not.
     others: Vec<Candidate>,
     pub(super) meter: HeadMeter,
 }
@@ -74,6 +77,7 @@ impl Reader {
             },
             classes,
             candidates: Vec::new(),
+            reported: Vec::new(),
             others: Vec::new(),
             meter: HeadMeter::default(),
         }
@@ -115,23 +119,24 @@ impl Reader {
     ) -> Result<Vec<Detection>, String> {
         self.candidates.clear();
         head.read(outputs, confidence, &mut self.candidates)?;
-        let classes = &self.classes;
-        self.candidates.retain_mut(|candidate| {
-            let Some(Some(class)) = classes.reported_as(candidate.class) else {
-                return false;
-            };
-            candidate.class = class;
-            true
-        });
+        self.reported.clear();
+        for candidate in &self.candidates {
+            if let Some(Some(class)) = self.classes.reported_as(candidate.class) {
+                self.reported.push(Candidate {
+                    class,
+                    ..*candidate
+                });
+            }
+        }
         if head.overlaps {
-            suppress(&mut self.candidates, self.suppression);
+            suppress(&mut self.reported, self.suppression);
         }
         Ok(self.mapped(mapping))
     }
 
-    /// The candidates as detections in the source picture, without those outside it.
+    /// The reported candidates as detections in the source picture, without those outside it.
     fn mapped(&self, mapping: InputMapping) -> Vec<Detection> {
-        self.candidates
+        self.reported
             .iter()
             .filter_map(|candidate| detection(candidate, mapping))
             .collect()
@@ -143,36 +148,30 @@ impl Reader {
             rejected,
             ..HeadCounts::default()
         };
-        let classes = &self.classes;
-        let others = &mut self.others;
-        others.clear();
-        self.candidates
-            .retain_mut(|candidate| match classes.reported_as(candidate.class) {
-                Some(Some(class)) => {
-                    candidate.class = class;
-                    true
-                }
-                Some(None) => {
-                    others.push(*candidate);
-                    false
-                }
-                None => {
-                    counts.unknown_class += 1;
-                    false
-                }
-            });
-        let are_all_reported = others.is_empty() && counts.unknown_class == 0;
-        if head.overlaps {
-            suppress(others, self.suppression);
+        self.reported.clear();
+        self.others.clear();
+        for candidate in &self.candidates {
+            match self.classes.reported_as(candidate.class) {
+                Some(Some(class)) => self.reported.push(Candidate {
+                    class,
+                    ..*candidate
+                }),
+                Some(None) => self.others.push(*candidate),
+                None => counts.unknown_class += 1,
+            }
         }
-        counts.other_class = others.len() as u64;
+        let are_all_reported = self.others.is_empty() && counts.unknown_class == 0;
+        if head.overlaps {
+            suppress(&mut self.others, self.suppression);
+        }
+        counts.other_class = self.others.len() as u64;
         counts.over_limit = if head.overlaps {
-            suppress(&mut self.candidates, self.suppression)
+            suppress(&mut self.reported, self.suppression)
         } else {
-            keep_best(&mut self.candidates, self.suppression.most)
+            keep_best(&mut self.reported, self.suppression.most)
         };
         let detections = self.mapped(mapping);
-        counts.outside = (self.candidates.len() - detections.len()) as u64;
+        counts.outside = (self.reported.len() - detections.len()) as u64;
         self.meter.update(|total| {
             total.rejected += counts.rejected;
             total.outside += counts.outside;
@@ -283,9 +282,9 @@ mod tests {
             (SOUND, f32::NAN, 0, true),
             ([500.0, 500.0, 32.0, 16.0], 0.9, 0, true),
         ] {
-            let read = read(boxes, score);
-            assert_eq!(read.detections.len(), found, "{boxes:?} {score}");
-            assert_eq!(read.is_impossible, is_impossible, "{boxes:?} {score}");
+            let read_out = read(boxes, score);
+            assert_eq!(read_out.detections.len(), found, "{boxes:?} {score}");
+            assert_eq!(read_out.is_impossible, is_impossible, "{boxes:?} {score}");
         }
     }
 
@@ -294,10 +293,11 @@ mod tests {
         let boxes: Vec<f32> = (0..12).map(|value| value as f32).collect();
         let outputs = [view(&[2, 3, 2], &boxes), view(&[2, 1], &[0.5, 0.6])];
         let parts = Parts::of(&outputs, 2).unwrap();
-        let second: Vec<_> =
-            parts.get(&outputs, 1).iter().map(|it| (it.shape, it.values)).collect();
-        let expected: [(&[i64], &[f32]); 2] = [(&[1, 3, 2], &boxes[6..]), (&[1, 1], &[0.6])];
-        assert_eq!(second, expected);
+        let second = parts.get(&outputs, 1);
+        assert_eq!(
+            second,
+            [view(&[1, 3, 2], &boxes[6..]), view(&[1, 1], &[0.6])]
+        );
     }
 
     #[test]

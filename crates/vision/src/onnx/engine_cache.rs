@@ -39,16 +39,16 @@ impl EngineCache {
         let Some(root) = &settings.gpu.engine_cache else {
             return Ok(None);
         };
-        let key = key(settings, model)
+        let folder_name = key(settings, model)
             .map_err(|error| StartError::unreadable(&settings.model, &error).because(error))?;
-        let folder = root.join(key);
+        let folder = root.join(folder_name);
         let unwritable = |error: std::io::Error| {
             let reason = format!("{} cannot be written: {error}", folder.display());
             StartError::configuration("detector.gpu.engine_cache", reason)
         };
         std::fs::create_dir_all(&folder).map_err(unwritable)?;
-        let name = settings.model.display().to_string();
-        std::fs::write(folder.join(MODEL), name).map_err(unwritable)?;
+        let model_name = settings.model.display().to_string();
+        std::fs::write(folder.join(MODEL), model_name).map_err(unwritable)?;
         forget_all_but_the_last(root, &folder);
         Ok(Some(Self {
             is_built: has_engine(&folder),
@@ -89,7 +89,8 @@ impl EngineCache {
 /// How long the last build took of an engine under `root`.
 pub(crate) fn last_build(root: &Path) -> Option<Duration> {
     let text = std::fs::read_to_string(root.join(LAST_BUILD)).ok()?;
-    Some(Duration::from_secs(text.trim().parse().ok()?))
+    let seconds = text.trim().parse().ok()?;
+    Some(Duration::from_secs(seconds))
 }
 
 fn has_engine(folder: &Path) -> bool {
@@ -106,15 +107,15 @@ fn forget_all_but_the_last(root: &Path, used: &Path) {
     let Ok(entries) = std::fs::read_dir(root) else {
         return;
     };
-    let mut others: Vec<(SystemTime, PathBuf)> = entries
-        .flatten()
-        .filter_map(|entry| {
-            // A folder without this file is not ours.
-            let of_model = entry.path().join(MODEL).metadata().ok()?;
-            Some((of_model.modified().ok()?, entry.path()))
-        })
-        .filter(|(_, folder)| folder != used)
-        .collect();
+    let mut others: Vec<(SystemTime, PathBuf)> = Vec::new();
+    for entry in entries.flatten() {
+        let folder = entry.path();
+        if folder != used
+            && let Some(used_at) = last_use(&folder)
+        {
+            others.push((used_at, folder));
+        }
+    }
     others.sort();
     let too_many = (others.len() + 1).saturating_sub(KEPT);
     for (_, folder) in &others[..too_many] {
@@ -127,6 +128,12 @@ fn forget_all_but_the_last(root: &Path, used: &Path) {
             }
         }
     }
+}
+
+/// When the engines in `folder` were last used; `None` of a folder without the file [`MODEL`], which is not ours.
+fn last_use(folder: &Path) -> Option<SystemTime> {
+    let of_model = folder.join(MODEL).metadata().ok()?;
+    of_model.modified().ok()
 }
 
 /// What an engine is built from, as hexadecimal digits: the bytes of the model and of the files that it keeps its weights
@@ -143,8 +150,8 @@ fn key(settings: &SessionSettings, model: &[u8]) -> std::io::Result<String> {
         add(name.as_bytes());
         add(&std::fs::read(beside.join(&name))?);
     }
-    let precision = settings.gpu.fp16;
-    add(format!("fp16 {precision}, {:?}", settings.shapes).as_bytes());
+    let fp16 = settings.gpu.fp16;
+    add(format!("fp16 {fp16}, {:?}", settings.shapes).as_bytes());
     let mut text = String::new();
     for byte in digest.finalize() {
         // Writing to a string does not fail.
@@ -174,11 +181,25 @@ mod tests {
         config.session_settings()
     }
 
-    /// The key and the cache of the model that is in its file now.
+    /// Settings of a model in `folder` whose engines are kept there, too.
+    fn settings_with_cache(folder: &Path) -> SessionSettings {
+        let mut settings = settings(folder.join("model.onnx"));
+        settings.gpu.engine_cache = Some(folder.join("engines"));
+        settings
+    }
+
+    /// The key of the model that is in its file now.
     fn key_now(settings: &SessionSettings) -> std::io::Result<String> {
         key(settings, &std::fs::read(&settings.model)?)
     }
 
+    /// The cache of a model of these bytes, which are written to its file.
+    fn cache_of(settings: &SessionSettings, weights: &str) -> EngineCache {
+        std::fs::write(&settings.model, weights).unwrap();
+        cache_now(settings)
+    }
+
+    /// The cache of the model that is in its file now.
     fn cache_now(settings: &SessionSettings) -> EngineCache {
         let model = std::fs::read(&settings.model).unwrap();
         EngineCache::open(settings, &model).unwrap().unwrap()
@@ -190,21 +211,43 @@ mod tests {
         assert_eq!(distinct.len(), keys.len(), "{keys:?}");
     }
 
-    #[test]
-    fn an_engine_belongs_to_weights_precision_and_shapes_and_not_to_a_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name: &str, bytes: &[u8]| {
-            let path = folder.path().join(name);
-            std::fs::write(&path, bytes).unwrap();
-            path
+    /// Writes a model to `model` whose weights are in a file beside it, and returns the path of that file, which is not
+    /// there yet.
+    fn write_model_with_weights_beside(model: &Path) -> PathBuf {
+        let mut bytes = std::fs::read(fixture("outside.onnx")).unwrap();
+        let names = Vec::from_iter(external_files(&bytes));
+        let [old_name] = names.as_slice() else {
+            panic!("the fixture names one file, not {names:?}");
         };
-        let first = settings(file("model.onnx", b"first"));
-        let of_first = key_now(&first).unwrap();
-        let renamed = settings(file("renamed.onnx", b"first"));
-        assert_eq!(key_now(&renamed).unwrap(), of_first);
-        let mut keys = vec![of_first];
+        // The fixture's name leads out of its folder. This one is as long, so that the lengths in the file stay right.
+        let new_name = "w".repeat(old_name.len());
+        let place = bytes.windows(old_name.len()).position(|it| it == old_name.as_bytes());
+        let start = place.unwrap();
+        bytes[start..start + old_name.len()].copy_from_slice(new_name.as_bytes());
+        std::fs::write(model, bytes).unwrap();
+        model.with_file_name(new_name)
+    }
+
+    #[test]
+    fn a_model_keeps_its_engine_when_it_is_renamed() {
+        let folder = tempfile::tempdir().unwrap();
+        let old_name = folder.path().join("model.onnx");
+        let new_name = folder.path().join("renamed.onnx");
+        std::fs::write(&old_name, "weights").unwrap();
+        std::fs::write(&new_name, "weights").unwrap();
+        let old_key = key_now(&settings(old_name)).unwrap();
+        assert_eq!(key_now(&settings(new_name)).unwrap(), old_key);
+    }
+
+    #[test]
+    fn an_engine_belongs_to_weights_precision_and_shapes() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model.onnx");
+        std::fs::write(&model, "first").unwrap();
+        let first = settings(model.clone());
+        let mut keys = vec![key_now(&first).unwrap()];
         // Trained again, under the old name.
-        file("model.onnx", b"again");
+        std::fs::write(&model, "again").unwrap();
         keys.push(key_now(&first).unwrap());
         let mut half = first.clone();
         half.gpu.fp16 = true;
@@ -229,61 +272,59 @@ mod tests {
     fn weights_beside_a_model_belong_to_its_engine() {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("model.onnx");
-        let mut bytes = std::fs::read(fixture("outside.onnx")).unwrap();
-        let names = Vec::from_iter(external_files(&bytes));
-        assert_eq!(names.len(), 1, "the fixture names one file");
-        let old_name = names[0].as_bytes();
-        // The fixture's name leads out of its folder. This one is as long, so that the lengths in the file stay right.
-        let new_name = "w".repeat(old_name.len());
-        let place = bytes.windows(old_name.len()).position(|it| it == old_name).unwrap();
-        bytes[place..place + old_name.len()].copy_from_slice(new_name.as_bytes());
-        std::fs::write(&model, bytes).unwrap();
-        // Without the file of weights there is no key, so that no engine is taken for this model's.
-        assert!(key_now(&settings(model.clone())).is_err());
+        let weights = write_model_with_weights_beside(&model);
+        let settings = settings(model);
         let mut keys = Vec::new();
         for values in ["first", "again"] {
-            std::fs::write(folder.path().join(&new_name), values).unwrap();
-            keys.push(key_now(&settings(model.clone())).unwrap());
+            std::fs::write(&weights, values).unwrap();
+            keys.push(key_now(&settings).unwrap());
         }
         assert_all_differ(&keys);
     }
 
     #[test]
-    fn the_time_of_the_last_build_is_that_of_any_model() {
+    fn a_model_without_its_weights_has_no_key_so_that_no_engine_is_taken_for_its_own() {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("model.onnx");
-        let mut settings = settings(model.clone());
-        settings.gpu.engine_cache = Some(folder.path().join("engines"));
-        let [one, other] = ["one", "other"].map(|weights| {
-            std::fs::write(&model, weights).unwrap();
-            cache_now(&settings)
-        });
+        write_model_with_weights_beside(&model);
+        assert!(key_now(&settings(model)).is_err());
+    }
+
+    #[test]
+    fn the_time_of_the_last_build_is_that_of_any_model() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = settings_with_cache(folder.path());
+        let one = cache_of(&settings, "one");
+        let other = cache_of(&settings, "other");
         assert_eq!(one.last_build(), None);
         one.built_in(Duration::from_secs(570));
         assert_eq!(other.last_build(), Some(Duration::from_secs(570)));
     }
 
     #[test]
-    fn engines_of_the_models_used_last_are_kept() {
+    fn a_cache_is_built_if_it_is_opened_with_an_engine() {
         let folder = tempfile::tempdir().unwrap();
-        let root = folder.path().join("engines");
-        let model = folder.path().join("model.onnx");
-        let mut settings = settings(model.clone());
-        settings.gpu.engine_cache = Some(root.clone());
+        let settings = settings_with_cache(folder.path());
+        let cache = cache_of(&settings, "weights");
+        assert!(!cache.is_built());
+        std::fs::write(cache.folder().join("part_sm87.engine"), "").unwrap();
+        assert!(cache_now(&settings).is_built());
+    }
+
+    #[test]
+    fn engines_of_the_models_used_last_are_kept_in_the_configured_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = settings_with_cache(folder.path());
         let mut caches = Vec::new();
-        for weights in 0..6_u64 {
-            std::fs::write(&model, weights.to_string()).unwrap();
-            let cache = cache_now(&settings);
-            assert!(!cache.is_built());
-            assert!(cache.folder().starts_with(&root));
-            std::fs::write(cache.folder().join("part_sm87.engine"), "").unwrap();
-            let used = SystemTime::UNIX_EPOCH + Duration::from_secs(weights);
+        for number in 0..6_u64 {
+            let cache = cache_of(&settings, &number.to_string());
+            assert!(cache.folder().starts_with(folder.path().join("engines")));
+            let used = SystemTime::UNIX_EPOCH + Duration::from_secs(number);
             let of_model = std::fs::File::options().append(true).open(cache.folder().join(MODEL));
             of_model.unwrap().set_modified(used).unwrap();
             caches.push(cache);
         }
         let kept: Vec<_> = caches.iter().map(|cache| cache.folder().exists()).collect();
         assert_eq!(kept, [false, false, true, true, true, true]);
-        assert!(cache_now(&settings).is_built());
     }
 }

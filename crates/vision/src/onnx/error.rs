@@ -52,7 +52,7 @@ impl StartError {
 
     /// The ONNX file is missing, damaged or not supported by this ONNX Runtime.
     pub(crate) fn unreadable(model: &Path, reason: impl Display) -> Self {
-        let place = if model.is_relative() && !model.exists() {
+        let where_it_begins = if model.is_relative() && !model.exists() {
             let here = std::env::current_dir().unwrap_or_default();
             format!(
                 " (a relative path begins in the folder where the program runs, {})",
@@ -64,7 +64,7 @@ impl StartError {
         let model = model.display();
         Self::new(
             StartErrorKind::Unreadable,
-            format_args!("the model {model} cannot be loaded: {reason}{place}"),
+            format_args!("the model {model} cannot be loaded: {reason}{where_it_begins}"),
         )
     }
 

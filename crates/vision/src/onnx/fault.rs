@@ -49,8 +49,8 @@ fn cuda_failures(message: &str) -> Vec<u32> {
     let mut numbers = Vec::new();
     for (at, phrase) in lower.match_indices(CUDA_FAILURE) {
         let rest = &lower[at + phrase.len()..];
-        let digits = rest.split(|sign: char| !sign.is_ascii_digit()).next();
-        if let Ok(number) = digits.unwrap_or_default().parse() {
+        let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+        if let Ok(number) = digits.parse() {
             numbers.push(number);
         }
     }
@@ -68,7 +68,7 @@ pub(crate) fn device_is_lost(message: &str) -> bool {
 /// Returns ONNX Runtime's message, preceded by its meaning and a remedy if these are known: the message itself speaks
 /// of arenas and numbers.
 pub(crate) fn in_words(message: &str) -> String {
-    // Callers continue the sentence after it.
+    // Without its full stop, because callers continue the sentence.
     let message = message.trim_end().trim_end_matches('.');
     let lower = message.to_lowercase();
     let is_one_of = |numbers: &[u32]| cuda_failures(message).iter().any(|it| numbers.contains(it));
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_device_is_distinguished_from_other_failures() {
+    fn a_device_that_is_lost_or_missing_is_reported_in_plain_words_and_recognised() {
         let lost = "the GPU is lost to this process";
         // Said when a GPU cannot be used at the start. From a session that worked before, the same numbers mean that it was
         // lost.
@@ -138,11 +138,16 @@ mod tests {
             (missing, 101, "invalid device ordinal"),
         ] {
             let words = in_words(&cuda(number, text));
-            assert!(words.starts_with(said) && words.contains(text), "{words}");
+            assert!(words.starts_with(said), "{words}");
+            assert!(words.contains(text), "{words}");
             // Also in a sentence of ours.
             let sentence = format!("the run failed: {words}");
             assert!(device_is_lost(&sentence), "{words}");
         }
+    }
+
+    #[test]
+    fn other_failures_are_not_taken_for_a_lost_device() {
         for message in [
             cuda(2, "out of memory"),
             cuda(1, "invalid argument"),

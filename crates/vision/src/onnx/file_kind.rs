@@ -79,17 +79,25 @@ pub(super) fn other_kind(model: &Path) -> Option<String> {
         );
     }
     let mut head = Vec::new();
-    File::open(model).ok()?.take(4096).read_to_end(&mut head).ok()?;
+    let file = File::open(model).ok()?;
+    file.take(4096).read_to_end(&mut head).ok()?;
     if head.is_empty() {
         return Some("it is empty: copy or download it again".to_owned());
     }
-    let kind = OTHERS
-        .iter()
-        .find(|(at, bytes, _)| head.get(*at..).is_some_and(|rest| rest.starts_with(bytes)))
-        .map(|(_, _, kind)| (*kind).to_owned())
+    let kind = known_kind(&head)
         .or_else(|| text(&head))
         .or_else(|| ultralytics_engine(&head))?;
     Some(format!("it is no ONNX file but {kind}"))
+}
+
+/// What a file is that begins like one of [`OTHERS`].
+fn known_kind(head: &[u8]) -> Option<String> {
+    for (at, bytes, kind) in OTHERS {
+        if head.get(at..).is_some_and(|rest| rest.starts_with(bytes)) {
+            return Some(kind.to_owned());
+        }
+    }
+    None
 }
 
 /// What a text file is: no ONNX file is text.
@@ -103,22 +111,25 @@ fn text(head: &[u8]) -> Option<String> {
     let kind = if start.starts_with("<!doctype html") || start.starts_with("<html") {
         "a web page: the download got an error page or a login; open the address in a browser, or use its link for \
          the raw file"
+            .to_owned()
     } else if start.starts_with("<?xml") || start.starts_with("<net") {
         "an XML file, as OpenVINO writes its models: give the ONNX file that it was made of, or export the model to \
          ONNX"
+            .to_owned()
     } else {
-        let first: String = start.lines().next().unwrap_or_default().chars().take(60).collect();
-        return Some(format!(
-            "a text that begins with `{first}`: name the .onnx file"
-        ));
+        let line = start.lines().next().unwrap_or_default();
+        let first: String = line.chars().take(60).collect();
+        format!("a text that begins with `{first}`: name the .onnx file")
     };
-    Some(kind.to_owned())
+    Some(kind)
 }
 
 /// Ultralytics writes the length of its metadata, the metadata as JSON, and then the engine.
 fn ultralytics_engine(head: &[u8]) -> Option<String> {
+    /// No metadata is as long as this.
+    const TOO_LONG: u32 = 1 << 20;
     let (length, rest) = head.split_first_chunk::<4>()?;
-    let is_metadata = u32::from_le_bytes(*length) < 1 << 20 && rest.starts_with(b"{\"");
+    let is_metadata = u32::from_le_bytes(*length) < TOO_LONG && rest.starts_with(b"{\"");
     if is_metadata {
         Some(TENSORRT.to_owned())
     } else {
@@ -128,9 +139,9 @@ fn ultralytics_engine(head: &[u8]) -> Option<String> {
 
 /// ONNX Runtime's reason for not loading `model`, preceded by its meaning if that is known.
 pub(super) fn in_words(model: &Path, reason: &str) -> String {
-    let bytes = std::fs::metadata(model).map_or(0, |file| file.len());
     let lower = reason.to_lowercase();
     if lower.contains("protobuf parsing failed") || lower.contains("invalid protobuf") {
+        let bytes = std::fs::metadata(model).map_or(0, |file| file.len());
         return format!(
             "it is no ONNX file, or one that is damaged or cut short (it has {bytes} bytes): copy or export it again, \
              and compare its size ({reason})"
@@ -183,6 +194,11 @@ mod tests {
             let kind = other_kind(&file).unwrap();
             assert!(kind.contains(said), "{kind}");
         }
+    }
+
+    #[test]
+    fn a_folder_is_said_to_be_one() {
+        let folder = tempfile::tempdir().unwrap();
         let kind = other_kind(folder.path()).unwrap();
         assert!(kind.contains("it is a folder"), "{kind}");
     }

@@ -46,7 +46,7 @@ pub(crate) fn has_half_weights(model: &[u8]) -> bool {
     false
 }
 
-/// The fields of a message of Protocol Buffers, until its end or what is none.
+/// The fields of a message of Protocol Buffers, until its end or the first bytes that are no field.
 struct Fields<'a>(&'a [u8]);
 
 enum Value<'a> {
@@ -56,6 +56,7 @@ enum Value<'a> {
 }
 
 impl Fields<'_> {
+    /// Takes the number at the front: seven bits of each byte, the lowest first; the eighth says that more follow.
     fn number(&mut self) -> Option<u64> {
         let mut number = 0;
         for place in 0..10 {
@@ -71,6 +72,7 @@ impl Fields<'_> {
 }
 
 impl<'a> Fields<'a> {
+    /// Takes `length` bytes from the front.
     fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
         let (bytes, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
         self.0 = rest;

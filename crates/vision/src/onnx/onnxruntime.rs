@@ -72,7 +72,7 @@ fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str
 
 /// The places to search.
 struct Search {
-    /// A file or folder that is named explicitly, and what names it. Then nothing else is searched.
+    /// What names a file or folder explicitly, and that file or folder. Then nothing else is searched.
     named: Option<(&'static str, PathBuf)>,
     folders: Vec<PathBuf>,
 }
@@ -115,12 +115,12 @@ impl Search {
             let looked_at = format!("{} (named by {what})", path.display());
             return library_in(path).ok_or_else(|| not_found(&looked_at));
         }
-        let found = self.folders.iter().find_map(|folder| library_in(folder));
-        found.ok_or_else(|| {
-            let looked_at: Vec<String> =
-                self.folders.iter().map(|folder| folder.display().to_string()).collect();
-            not_found(&looked_at.join(", "))
-        })
+        if let Some(library) = self.folders.iter().find_map(|folder| library_in(folder)) {
+            return Ok(library);
+        }
+        let looked_at: Vec<String> =
+            self.folders.iter().map(|folder| folder.display().to_string()).collect();
+        Err(not_found(&looked_at.join(", ")))
     }
 }
 
@@ -201,31 +201,44 @@ mod tests {
     }
 
     #[test]
-    fn the_first_folder_with_a_library_wins_and_in_it_the_plain_name_or_else_the_highest_version() {
+    fn the_first_folder_with_a_library_wins() {
+        let empty = tempfile::tempdir().unwrap();
         let first = tempfile::tempdir().unwrap();
         let second = tempfile::tempdir().unwrap();
-        let folders = [first.path(), second.path()];
-        put(first.path(), "libonnxruntime.so.1.9.0");
-        let newest = put(first.path(), "libonnxruntime.so.1.31.1");
+        let folders = [empty.path(), first.path(), second.path()];
+        let library = put(first.path(), "libonnxruntime.so.1.9.0");
         put(second.path(), "libonnxruntime.so");
-        assert_eq!(search(None, &folders).find().unwrap(), newest);
-        let plain = put(first.path(), "libonnxruntime.so");
-        assert_eq!(search(None, &folders).find().unwrap(), plain);
+        assert_eq!(search(None, &folders).find().unwrap(), library);
     }
 
     #[test]
-    fn a_named_file_or_folder_is_used_and_nothing_else() {
+    fn in_a_folder_the_plain_name_wins_or_else_the_highest_version() {
+        let folder = tempfile::tempdir().unwrap();
+        put(folder.path(), "libonnxruntime.so.1.9.0");
+        let newest = put(folder.path(), "libonnxruntime.so.1.31.1");
+        assert_eq!(search(None, &[folder.path()]).find().unwrap(), newest);
+        let plain = put(folder.path(), "libonnxruntime.so");
+        assert_eq!(search(None, &[folder.path()]).find().unwrap(), plain);
+    }
+
+    #[test]
+    fn a_named_file_or_folder_is_used() {
+        let named = tempfile::tempdir().unwrap();
+        let library = put(named.path(), "libonnxruntime.so.1.31.1");
+        assert_eq!(search(Some(named.path()), &[]).find().unwrap(), library);
+        assert_eq!(search(Some(&library), &[]).find().unwrap(), library);
+    }
+
+    #[test]
+    fn if_a_place_is_named_no_other_is_searched() {
         let named = tempfile::tempdir().unwrap();
         let other = tempfile::tempdir().unwrap();
         put(other.path(), "libonnxruntime.so");
+        assert!(search(Some(named.path()), &[other.path()]).find().is_err());
         let missing = search(Some(&named.path().join("gone.so")), &[other.path()]).find();
         let error = missing.unwrap_err().to_string();
         for part in ["gone.so", VARIABLE] {
             assert!(error.contains(part), "{error}");
         }
-        assert!(search(Some(named.path()), &[other.path()]).find().is_err());
-        let library = put(named.path(), "libonnxruntime.so.1.31.1");
-        assert_eq!(search(Some(named.path()), &[]).find().unwrap(), library);
-        assert_eq!(search(Some(&library), &[]).find().unwrap(), library);
     }
 }

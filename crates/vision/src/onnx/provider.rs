@@ -39,16 +39,16 @@ pub(super) fn registrations(
     provider: ExecutionProvider,
     settings: &SessionSettings,
 ) -> Vec<ExecutionProviderDispatch> {
-    let cuda = || cuda(&settings.gpu);
+    let gpu = &settings.gpu;
     match provider {
         ExecutionProvider::Cpu => Vec::new(),
         ExecutionProvider::Cuda => {
-            let cuda = cuda().with_cuda_graph(settings.gpu.cuda_graph);
-            vec![cuda.build().error_on_failure()]
+            let options = cuda(gpu).with_cuda_graph(gpu.cuda_graph);
+            vec![options.build().error_on_failure()]
         }
         ExecutionProvider::TensorRt => vec![
             tensorrt(settings).build().error_on_failure(),
-            cuda().build().error_on_failure(),
+            cuda(gpu).build().error_on_failure(),
         ],
     }
 }
@@ -110,22 +110,22 @@ fn tensorrt(settings: &SessionSettings) -> TensorRT {
     tensorrt
 }
 
-/// Tries `attempt` with each of `providers` in order and returns the first that works.
+/// Tries `attempt` with each of `providers` in order and returns what it makes of the first that works. Logs those that
+/// do not.
 ///
 /// # Errors
-/// The error of `attempt` for the last provider tried.
+/// The error of `attempt` for the last provider, or that there is none.
 pub(super) fn first_that_works<T>(
     providers: &[ExecutionProvider],
     mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,
 ) -> Result<T, StartError> {
-    let mut outcome = Err(StartError::configuration(
+    let mut last_error = StartError::configuration(
         "detector.providers",
         "the list is empty; [\"cpu\"] works everywhere",
-    ));
+    );
     for (index, &provider) in providers.iter().enumerate() {
-        outcome = attempt(provider);
-        match &outcome {
-            Ok(_) => {
+        match attempt(provider) {
+            Ok(works) => {
                 if index > 0 {
                     warn!(
                         first = providers[0].as_str(),
@@ -133,14 +133,15 @@ pub(super) fn first_that_works<T>(
                         "fell back to another execution provider of detector.providers"
                     );
                 }
-                return outcome;
+                return Ok(works);
             }
             Err(error) => {
-                warn!(provider = provider.as_str(), %error, "execution provider not usable")
+                warn!(provider = provider.as_str(), %error, "execution provider not usable");
+                last_error = error;
             }
         }
     }
-    outcome
+    Err(last_error)
 }
 
 #[cfg(test)]
@@ -149,28 +150,37 @@ mod tests {
     use crate::onnx::StartErrorKind;
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
 
+    /// An attempt that works with any provider but TensorRT.
+    fn without_tensorrt(provider: ExecutionProvider) -> Result<ExecutionProvider, StartError> {
+        match provider {
+            TensorRt => Err(StartError::new(
+                StartErrorKind::Provider,
+                "`tensorrt` is not here",
+            )),
+            works => Ok(works),
+        }
+    }
+
     #[test]
     fn providers_are_tried_in_their_order_until_one_works() {
-        let first = |providers: &[ExecutionProvider]| {
-            let mut tried = Vec::new();
-            let found = first_that_works(providers, |provider| {
-                tried.push(provider);
-                match provider {
-                    TensorRt => Err(StartError::new(
-                        StartErrorKind::Provider,
-                        "`tensorrt` is not here",
-                    )),
-                    works => Ok(works),
-                }
-            });
-            (found.map_err(|error| error.to_string()), tried)
-        };
-        let expected = (Ok(Cuda), vec![TensorRt, Cuda]);
-        assert_eq!(first(&[TensorRt, Cuda, Cpu]), expected);
-        let (found, tried) = first(&[TensorRt]);
-        assert!(found.unwrap_err().contains("`tensorrt`"));
-        assert_eq!(tried, [TensorRt]);
-        let (none, _) = first(&[]);
-        assert!(none.unwrap_err().contains("detector.providers"));
+        let mut tried = Vec::new();
+        let found = first_that_works(&[TensorRt, Cuda, Cpu], |provider| {
+            tried.push(provider);
+            without_tensorrt(provider)
+        });
+        assert_eq!(found.unwrap(), Cuda);
+        assert_eq!(tried, [TensorRt, Cuda]);
+    }
+
+    #[test]
+    fn if_no_provider_works_the_error_is_that_of_the_attempt() {
+        let error = first_that_works(&[TensorRt], without_tensorrt).unwrap_err().to_string();
+        assert!(error.contains("`tensorrt`"), "{error}");
+    }
+
+    #[test]
+    fn an_empty_list_of_providers_is_an_error_that_names_its_key() {
+        let error = first_that_works(&[], without_tensorrt).unwrap_err().to_string();
+        assert!(error.contains("detector.providers"), "{error}");
     }
 }

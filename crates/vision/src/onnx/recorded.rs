@@ -47,8 +47,8 @@ impl RecordedRuns {
         self.runs.get_mut(&shape)
     }
 
-    /// Lays out the tensors of a run for pictures of `shape`; `beside` are the other inputs, by name, the same in each run. The
-    /// first replay records it.
+    /// Lays out the tensors of a run for pictures of `shape`; `beside` are the other inputs, by name, the same in each
+    /// run. Returns that run, which its first replay records.
     pub(super) fn add(
         &mut self,
         session: &Session,
@@ -56,7 +56,7 @@ impl RecordedRuns {
         picture: &TensorShape,
         beside: &[(String, DynValue)],
         outputs: Vec<TensorShape>,
-    ) -> ort::Result<()> {
+    ) -> ort::Result<&mut RecordedRun> {
         let input = self.tensor(picture)?;
         let mut binding = session.create_binding()?;
         binding.bind_input(&picture.name, &input)?;
@@ -78,8 +78,7 @@ impl RecordedRuns {
             options: options(&graph.to_string())?,
             outputs: bound,
         };
-        self.runs.insert(shape, run);
-        Ok(())
+        Ok(self.runs.entry(shape).insert_entry(run).into_mut())
     }
 
     fn tensor(&self, of: &TensorShape) -> ort::Result<DynTensor> {
@@ -178,19 +177,20 @@ mod tests {
             let outputs = vec![tensor("out")];
             runs.add(&session, shape, &tensor("picture"), &beside, outputs).unwrap();
         }
-        for (picture, expected) in [
+        for (values, expected) in [
             (vec![1.0_f32, 2.0], vec![10.0, -20.0]),
             (vec![1.0, 2.0, 3.0, 4.0], vec![100.0, -200.0, 300.0, -400.0]),
             (vec![5.0, 6.0], vec![50.0, -60.0]),
         ] {
-            let shape = [1, 1, picture.len() as i64 / 2, 2];
-            let picture = Tensor::from_array((shape, picture)).unwrap().upcast();
+            let shape = [1, 1, values.len() as i64 / 2, 2];
+            let picture = Tensor::from_array((shape, values)).unwrap().upcast();
             let run = runs.of(shape).unwrap();
             run.replay(&mut session, &picture).unwrap();
             let [output] = run.outputs().collect::<Vec<_>>()[..] else {
                 panic!("not one output");
             };
-            assert_eq!(output.try_extract_tensor::<f32>().unwrap().1, expected);
+            let (_, product) = output.try_extract_tensor::<f32>().unwrap();
+            assert_eq!(product, expected);
         }
         assert!(runs.of([1, 1, 3, 2]).is_none());
     }

@@ -87,12 +87,12 @@ pub struct OnnxSession {
     conversion: Option<PixelConversion>,
     /// Where runs are recorded, if CUDA is to record them.
     recorded: Option<RecordedRuns>,
-    /// The options of a run that is not.
+    /// The options of a run that is not recorded.
     unrecorded: RunOptions,
     buffers: RunBuffers,
 }
 
-/// What follows if the model cannot be recorded.
+/// What is said of a model that cannot be recorded.
 pub(crate) const NOT_RECORDED: &str =
     "CUDA cannot record the runs of this model as graphs; it runs without";
 
@@ -113,12 +113,13 @@ impl OnnxSession {
         Self::open_among(settings, &settings.providers)
     }
 
-    /// [`open`](Self::open) with the first provider of `settings` or none.
+    /// [`open`](Self::open) with no other provider than the first of `settings`.
     ///
     /// # Errors
     /// As of [`open`](Self::open).
     pub(crate) fn open_with_first(settings: &SessionSettings) -> Result<Self, StartError> {
-        Self::open_among(settings, settings.providers.get(..1).unwrap_or_default())
+        let first = settings.providers.get(..1).unwrap_or_default();
+        Self::open_among(settings, first)
     }
 
     fn open_among(
@@ -230,14 +231,11 @@ impl OnnxSession {
     ) -> Result<(), StartError> {
         let element = self.signature.picture().map_or(&ElementType::Float32, |it| &it.element);
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
-        let settings = settings.without_graph();
+        let without_graph = settings.without_graph();
         let open = |provider| {
-            PixelConversion::open(
-                format,
-                element,
-                &builder(&environment, &settings, provider)?,
-                |session| provider::memory(provider, &settings.gpu, session),
-            )
+            let options = builder(&environment, &without_graph, provider)?;
+            let memory_for = |session: &Session| provider::memory(provider, &settings.gpu, session);
+            PixelConversion::open(format, element, &options, memory_for)
         };
         // TensorRT would build an engine for a few sums.
         let here = match self.provider {
@@ -323,8 +321,8 @@ impl OnnxSession {
                 }
             }
         }
-        let outputs = session.run_with_options(inputs.as_slice(), unrecorded)?;
-        let outputs = (0..outputs.len()).map(|index| elements(&outputs[index]));
+        let returned = session.run_with_options(inputs.as_slice(), unrecorded)?;
+        let outputs = (0..returned.len()).map(|index| elements(&returned[index]));
         Ok(read_outputs(outputs, read))
     }
 
@@ -353,9 +351,8 @@ impl OnnxSession {
         size: PictureSize,
         pictures: &[&InputTensor],
     ) -> ort::Result<()> {
-        let mut output_shapes: Vec<Vec<i64>> = Vec::new();
-        self.run_on(shape, size, pictures, |outputs| {
-            output_shapes.extend(outputs.iter().map(|output| output.shape.to_vec()));
+        let output_shapes: Vec<Vec<i64>> = self.run_on(shape, size, pictures, |outputs| {
+            outputs.iter().map(|output| output.shape.to_vec()).collect()
         })?;
         let (Some(conversion), Some(recorded)) = (&mut self.conversion, &mut self.recorded) else {
             return Err(ort::Error::new("the model takes pixels itself"));
@@ -377,8 +374,8 @@ impl OnnxSession {
         }
         let picture = picture.ok_or_else(|| ort::Error::new("the model takes no picture"))?;
         let mut outputs = Vec::new();
-        for (output, shape) in self.session.outputs().iter().zip(output_shapes) {
-            if shape.contains(&0) {
+        for (output, output_shape) in self.session.outputs().iter().zip(output_shapes) {
+            if output_shape.contains(&0) {
                 return Err(ort::Error::new("what it returns depends on the picture"));
             }
             let Some(element) = output.dtype().tensor_type() else {
@@ -387,14 +384,11 @@ impl OnnxSession {
             outputs.push(TensorShape {
                 name: output.name().to_owned(),
                 element,
-                shape,
+                shape: output_shape,
             });
         }
-        recorded.add(&self.session, shape, &picture, &numbers, outputs)?;
-        if let Some(run) = recorded.of(shape) {
-            run.replay(&mut self.session, &converted)?;
-        }
-        Ok(())
+        let run = recorded.add(&self.session, shape, &picture, &numbers, outputs)?;
+        run.replay(&mut self.session, &converted)
     }
 }
 
@@ -484,12 +478,13 @@ fn beside(input: &TensorSpec, size: PictureSize, batch: usize) -> Option<ort::Re
     let numbers = input.beside_picture(size)?;
     let shape = [batch, numbers.len()];
     let all = numbers.repeat(batch);
-    Some(if input.element == ElementType::Int64 {
+    let tensor = if input.element == ElementType::Int64 {
         let whole: Vec<i64> = all.into_iter().map(|number| number as i64).collect();
         Tensor::from_array((shape, whole)).map(Tensor::into_dyn)
     } else {
         Tensor::from_array((shape, all)).map(Tensor::into_dyn)
-    })
+    };
+    Some(tensor)
 }
 
 /// The human-readable message of ONNX Runtime.
@@ -511,10 +506,10 @@ fn elements<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> (&[i64], Co
     if let Ok((shape, numbers)) = output.try_extract_tensor::<i64>() {
         return (shape, numbers.iter().map(|&number| number as f32).collect());
     }
-    match output.try_extract_tensor::<i32>() {
-        Ok((shape, numbers)) => (shape, numbers.iter().map(|&number| number as f32).collect()),
-        Err(_) => (&[], Cow::Borrowed(&[])),
+    if let Ok((shape, numbers)) = output.try_extract_tensor::<i32>() {
+        return (shape, numbers.iter().map(|&number| number as f32).collect());
     }
+    (&[], Cow::Borrowed(&[]))
 }
 
 /// The text in the model's file beside the graph; empty if it cannot be read.
@@ -523,10 +518,10 @@ fn metadata(session: &Session) -> Metadata {
         return Metadata::default();
     };
     let keys = metadata.custom_keys().unwrap_or_default();
-    Metadata::new(
-        keys.into_iter()
-            .filter_map(|key| metadata.custom(&key).map(|value| (key, value))),
-    )
+    let entries = keys
+        .into_iter()
+        .filter_map(|key| metadata.custom(&key).map(|value| (key, value)));
+    Metadata::new(entries)
 }
 
 fn build(
@@ -587,28 +582,30 @@ fn refusal(
 }
 
 fn spec(outlet: &Outlet) -> TensorSpec {
-    let (element, shape) = match outlet.dtype() {
-        ValueType::Tensor { ty, shape, .. } => {
-            let element = match ty {
-                TensorElementType::Float32 => ElementType::Float32,
-                TensorElementType::Float16 => ElementType::Float16,
-                TensorElementType::Uint8 => ElementType::Uint8,
-                TensorElementType::Int32 => ElementType::Int32,
-                TensorElementType::Int64 => ElementType::Int64,
-                // Named as in ONNX: int8, bool.
-                other => ElementType::Other(format!("{other:?}").to_lowercase()),
-            };
-            (element, shape.to_vec())
-        }
-        other => (
-            ElementType::Other(format!("not a tensor ({other})")),
-            Vec::new(),
-        ),
-    };
-    TensorSpec {
-        name: outlet.name().to_owned(),
-        element,
-        shape,
+    let name = outlet.name().to_owned();
+    match outlet.dtype() {
+        ValueType::Tensor { ty, shape, .. } => TensorSpec {
+            name,
+            element: element_type(*ty),
+            shape: shape.to_vec(),
+        },
+        other => TensorSpec {
+            name,
+            element: ElementType::Other(format!("not a tensor ({other})")),
+            shape: Vec::new(),
+        },
+    }
+}
+
+fn element_type(ty: TensorElementType) -> ElementType {
+    match ty {
+        TensorElementType::Float32 => ElementType::Float32,
+        TensorElementType::Float16 => ElementType::Float16,
+        TensorElementType::Uint8 => ElementType::Uint8,
+        TensorElementType::Int32 => ElementType::Int32,
+        TensorElementType::Int64 => ElementType::Int64,
+        // Named as in ONNX: int8, bool.
+        other => ElementType::Other(format!("{other:?}").to_lowercase()),
     }
 }
 

@@ -203,8 +203,8 @@ impl Signature {
                 [batch, 3, height, width]
             };
             let mut sides = Vec::new();
-            for (&side, open) in input.shape.iter().zip(when_open) {
-                let side = if side >= 0 { side } else { open };
+            for (&of_model, open) in input.shape.iter().zip(when_open) {
+                let side = if of_model >= 0 { of_model } else { open };
                 sides.push(side.to_string());
             }
             shapes.push(format!("{}:{}", input.name, sides.join("x")));
@@ -283,6 +283,9 @@ impl TensorSpec {
 
     /// The numbers of this input beside a picture of `size`; `None` if it is no such input.
     pub(super) fn beside_picture(&self, size: PictureSize) -> Option<[f32; 2]> {
+        let [_, 2] = *self.shape.as_slice() else {
+            return None;
+        };
         let is_it =
             |known: &&BesidePicture| self.name == known.name && self.element == known.element;
         let beside = BESIDE_PICTURE.iter().find(is_it)?;
@@ -291,7 +294,6 @@ impl TensorSpec {
 
     fn is_beside_picture(&self) -> bool {
         self.beside_picture(PictureSize::new(1, 1)).is_some()
-            && matches!(self.shape.as_slice(), [_, 2])
     }
 }
 
@@ -312,14 +314,15 @@ fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
 
 impl fmt::Display for ElementType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+        let name = match self {
             Self::Float32 => "float32",
             Self::Float16 => "float16",
             Self::Uint8 => "uint8",
             Self::Int32 => "int32",
             Self::Int64 => "int64",
-            Self::Other(name) => name,
-        })
+            Self::Other(other) => other.as_str(),
+        };
+        f.write_str(name)
     }
 }
 

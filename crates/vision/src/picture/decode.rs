@@ -44,11 +44,11 @@ pub fn decode(
         ..picture.clone()
     };
     let turn = picture.mount().map_or(orientation, |mount| orientation.then(mount.turn()));
-    let target = target.map(|target| {
-        let whole = picture.mount().map_or(target, |mount| mount.whole(target));
-        turn.turned(whole)
+    let stored_target = target.map(|target| {
+        let uncropped = picture.mount().map_or(target, |mount| mount.whole(target));
+        turn.turned(uncropped)
     });
-    decode_stored(&stored, limits, layout, target, into)?;
+    decode_stored(&stored, limits, layout, stored_target, into)?;
     let whole = turn.turned(into.size);
     let part = picture.mount().map_or(Part::all(whole), |mount| mount.part(whole));
     turn.apply(into, part);
@@ -59,7 +59,7 @@ pub fn decode(
     Ok(())
 }
 
-/// [`decode`] without turning.
+/// [`decode`] without turning, cropping and masking.
 fn decode_stored(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -71,8 +71,10 @@ fn decode_stored(
     if let (PictureFormat::Jpeg, Some(target)) = (picture.format, target)
         && let Some(scale) = decode_jpeg_scaled::Scale::towards(target, picture.size)
     {
-        let decode = || decode_jpeg_scaled::decode(picture, scale, layout, into);
-        if contain("JPEG", decode)? {
+        let is_decoded = contain("JPEG", || {
+            decode_jpeg_scaled::decode(picture, scale, layout, into)
+        })?;
+        if is_decoded {
             return Ok(());
         }
     }
@@ -115,7 +117,8 @@ fn contain<T>(
     decoder: &str,
     decode: impl FnOnce() -> Result<T, FrameFault>,
 ) -> Result<T, FrameFault> {
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode));
+    outcome.unwrap_or_else(|_| {
         Err(FrameFault::undecodable(format!(
             "the {decoder} decoder panicked on the picture"
         )))
@@ -183,8 +186,8 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
     Ok(())
 }
 
-/// Returns the picture as a JPEG file, as its camera is mounted: unchanged if it is a file that need not be turned, cropped
-/// or masked, else encoded with quality 85.
+/// Returns the picture as a JPEG file, as its camera is mounted: unchanged if it is a JPEG file from a camera without a
+/// mount, else encoded with quality 85.
 ///
 /// # Errors
 /// Same as [`decode`].
@@ -223,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_too_large_for_memory_is_a_fault() {
+    fn a_picture_too_large_for_memory_is_a_fault_and_the_next_one_has_room() {
         let mut buffer = vec![1; 8];
         let fault = make_room(&mut buffer, isize::MAX as usize).unwrap_err();
         assert_eq!(fault.kind(), "oversized");

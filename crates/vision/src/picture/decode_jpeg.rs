@@ -14,11 +14,11 @@ pub(super) fn decode(
     pixels: &mut [u8],
 ) -> Result<(), FrameFault> {
     check_jpeg_is_whole(&picture.bytes)?;
-    // At an end-of-image marker the decoder makes up the pixels that are still missing.
-    let Some(open) = with_open_end(&picture.bytes) else {
-        return decode_bytes(&picture.bytes, picture, layout, pixels);
-    };
-    decode_bytes(&open, picture, layout, pixels)
+    // At an end-of-image marker the decoder makes up the pixels that are still missing, so it is given none.
+    match with_open_end(&picture.bytes) {
+        Some(open) => decode_bytes(&open, picture, layout, pixels),
+        None => decode_bytes(&picture.bytes, picture, layout, pixels),
+    }
 }
 
 fn decode_bytes(

@@ -17,17 +17,18 @@ impl Scale {
     /// The smallest scale at which a picture of size `source` is not smaller than `target`; `None` if that is its full
     /// size.
     pub(super) fn towards(target: PictureSize, source: PictureSize) -> Option<Self> {
-        [
+        let smallest_first = [
             ScalingFactor::ONE_EIGHTH,
             ScalingFactor::ONE_QUARTER,
             ScalingFactor::ONE_HALF,
-        ]
-        .into_iter()
-        .map(|factor| Self {
-            factor,
-            size: scaled(source, factor),
-        })
-        .find(|scale| scale.size.width >= target.width && scale.size.height >= target.height)
+        ];
+        for factor in smallest_first {
+            let size = scaled(source, factor);
+            if size.width >= target.width && size.height >= target.height {
+                return Some(Self { factor, size });
+            }
+        }
+        None
     }
 }
 
@@ -76,15 +77,16 @@ pub(super) fn decode(
     into.source_size = picture.size;
     into.layout = layout;
     into.pixels.resize(width * height * layout.channels(), 0);
+    let format = match layout {
+        PixelLayout::Rgb8 => PixelFormat::RGB,
+        PixelLayout::Gray8 => PixelFormat::GRAY,
+    };
     let output = Image {
         pixels: into.pixels.as_mut_slice(),
         width,
         pitch: width * layout.channels(),
         height,
-        format: match layout {
-            PixelLayout::Rgb8 => PixelFormat::RGB,
-            PixelLayout::Gray8 => PixelFormat::GRAY,
-        },
+        format,
     };
     // A warning, such as of missing data that was filled with grey, is an error here too.
     decompressor.decompress(&picture.bytes, output).map_err(broken)?;

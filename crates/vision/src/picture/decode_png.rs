@@ -40,8 +40,8 @@ pub(super) fn decode(
             return Err(FrameFault::undecodable("the PNG file has no palette"));
         }
     };
-    let wide = depth == BitDepth::Sixteen;
-    let bytes_per_sample = if wide { 2 } else { 1 };
+    let is_wide = depth == BitDepth::Sixteen;
+    let bytes_per_sample = if is_wide { 2 } else { 1 };
     let length = decoded_bytes(picture.size, channels * bytes_per_sample, limits)?;
     if reader.output_buffer_size() != Some(length) {
         return Err(FrameFault::undecodable(format!(
@@ -49,19 +49,18 @@ pub(super) fn decode(
             picture.size
         )));
     }
-    if !wide
-        && matches!(
-            (color, layout),
-            (ColorType::Rgb, PixelLayout::Rgb8) | (ColorType::Grayscale, PixelLayout::Gray8)
-        )
-    {
+    let has_channels_of_layout = matches!(
+        (color, layout),
+        (ColorType::Rgb, PixelLayout::Rgb8) | (ColorType::Grayscale, PixelLayout::Gray8)
+    );
+    if has_channels_of_layout && !is_wide {
         reader.next_frame(pixels).map_err(fault)?;
         return Ok(());
     }
     let mut samples = Vec::new();
     make_room(&mut samples, length)?;
     reader.next_frame(&mut samples).map_err(fault)?;
-    if wide {
+    if is_wide {
         samples = decode_raw::upper_bits(&samples, u16::from_be_bytes);
     }
     match (color, layout) {
@@ -71,8 +70,9 @@ pub(super) fn decode(
             decode_raw::grey_to_rgb::<2>(&samples, pixels);
         }
         (ColorType::GrayscaleAlpha, PixelLayout::Gray8) => {
-            for (to, from) in pixels.iter_mut().zip(samples.chunks_exact(2)) {
-                *to = from[0];
+            let (pairs, _) = samples.as_chunks::<2>();
+            for (to, [grey, _alpha]) in pixels.iter_mut().zip(pairs) {
+                *to = *grey;
             }
         }
         (ColorType::Rgba, _) => decode_raw::colours::<4>(&samples, [0, 1, 2], layout, pixels),

@@ -93,18 +93,17 @@ fn samples(format: PictureFormat, size: PictureSize) -> impl Fn(usize, usize) ->
     let pairs = width.div_ceil(2);
     let quarter = pairs * (size.height as usize).div_ceil(2);
     move |x, y| {
+        let pixel = y * width + x;
         let in_plane = y / 2 * pairs + x / 2;
         let pair = 4 * (y * pairs + x / 2);
         match format {
-            PictureFormat::I420 => [y * width + x, luma + in_plane, luma + quarter + in_plane],
+            PictureFormat::I420 => [pixel, luma + in_plane, luma + quarter + in_plane],
             PictureFormat::Yuyv => [pair + 2 * (x % 2), pair + 1, pair + 3],
             PictureFormat::Uyvy => [pair + 1 + 2 * (x % 2), pair, pair + 2],
-            PictureFormat::Nv21 => [y * width + x, luma + 2 * in_plane + 1, luma + 2 * in_plane],
-            PictureFormat::Nv24 => {
-                let pixel = y * width + x;
-                [pixel, luma + 2 * pixel, luma + 2 * pixel + 1]
-            }
-            _ => [y * width + x, luma + 2 * in_plane, luma + 2 * in_plane + 1],
+            PictureFormat::Nv21 => [pixel, luma + 2 * in_plane + 1, luma + 2 * in_plane],
+            PictureFormat::Nv24 => [pixel, luma + 2 * pixel, luma + 2 * pixel + 1],
+            // NV12.
+            _ => [pixel, luma + 2 * in_plane, luma + 2 * in_plane + 1],
         }
     }
 }
@@ -117,15 +116,15 @@ fn ycbcr(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
     let places = samples(picture.format, picture.size);
     let scaled = |luma: u8| 298 * (i32::from(luma) - 16) + 128;
     let byte = |value: i32| (value >> 8).clamp(0, 255) as u8;
-    for (y, to) in pixels.chunks_exact_mut(layout.channels() * width).enumerate() {
-        for (x, to) in to.chunks_exact_mut(layout.channels()).enumerate() {
-            let [luma, blue, red] = places(x, y);
-            let luma = scaled(bytes[luma]);
-            match to {
+    for (y, row) in pixels.chunks_exact_mut(layout.channels() * width).enumerate() {
+        for (x, pixel) in row.chunks_exact_mut(layout.channels()).enumerate() {
+            let [luma_place, blue_place, red_place] = places(x, y);
+            let luma = scaled(bytes[luma_place]);
+            match pixel {
                 [grey] => *grey = byte(luma),
                 colours => {
-                    let blue_difference = i32::from(bytes[blue]) - 128;
-                    let red_difference = i32::from(bytes[red]) - 128;
+                    let blue_difference = i32::from(bytes[blue_place]) - 128;
+                    let red_difference = i32::from(bytes[red_place]) - 128;
                     colours.copy_from_slice(&[
                         byte(luma + 409 * red_difference),
                         byte(luma - 100 * blue_difference - 208 * red_difference),
@@ -178,29 +177,31 @@ fn bayer(picture: &EncodedPicture, pattern: BayerPattern, layout: PixelLayout, p
         (sum / samples.len() as u16) as u8
     };
     let rows = pixels.chunks_exact_mut(layout.channels() * width);
-    for (y, to) in rows.enumerate() {
+    for (y, converted_row) in rows.enumerate() {
         let (above, below) = beside(y, height);
         let [upper, row, lower] = [above, y, below].map(|y| &bytes[y * width..][..width]);
-        for (x, to) in to.chunks_exact_mut(layout.channels()).enumerate() {
+        for (x, pixel) in converted_row.chunks_exact_mut(layout.channels()).enumerate() {
             let (left, right) = beside(x, width);
             let vertical = mean(&[upper[x], lower[x]]);
             let horizontal = mean(&[row[left], row[right]]);
             let in_red_row = y % 2 == red_row;
             let in_red_column = x % 2 == red_column;
-            let [red, green, blue] = if in_red_row == in_red_column {
+            let is_green = in_red_row != in_red_column;
+            let own = row[x];
+            let [red, green, blue] = if is_green && in_red_row {
+                [horizontal, own, vertical]
+            } else if is_green {
+                [vertical, own, horizontal]
+            } else {
                 let crossed = mean(&[upper[x], lower[x], row[left], row[right]]);
                 let corners = mean(&[upper[left], upper[right], lower[left], lower[right]]);
                 if in_red_row {
-                    [row[x], crossed, corners]
+                    [own, crossed, corners]
                 } else {
-                    [corners, crossed, row[x]]
+                    [corners, crossed, own]
                 }
-            } else if in_red_row {
-                [horizontal, row[x], vertical]
-            } else {
-                [vertical, row[x], horizontal]
             };
-            match to {
+            match pixel {
                 [grey] => *grey = luma(red, green, blue),
                 colours => colours.copy_from_slice(&[red, green, blue]),
             }
@@ -211,7 +212,6 @@ fn bayer(picture: &EncodedPicture, pattern: BayerPattern, layout: PixelLayout, p
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_core::geometry::PictureSize;
 
     const PATTERNS: [BayerPattern; 4] = [
         BayerPattern::Rggb,
@@ -228,7 +228,8 @@ mod tests {
             for x in 0..size.width as usize {
                 let in_red_row = y % 2 == red_row;
                 let in_red_column = x % 2 == red_column;
-                let sample = if in_red_row != in_red_column {
+                let is_green = in_red_row != in_red_column;
+                let sample = if is_green {
                     60 + 2 * x + 2 * y
                 } else if in_red_row {
                     100 + 2 * x + 4 * y
@@ -249,7 +250,8 @@ mod tests {
             // 12 bits, as sensors write them: the first sample shows that they are used.
             let mut wide = Vec::new();
             for sample in &narrow {
-                wide.extend_from_slice(&(u16::from(*sample) << 4 | 9).to_le_bytes());
+                let shifted = u16::from(*sample) << 4;
+                wide.extend_from_slice(&(shifted | 9).to_le_bytes());
             }
             wide[..2].copy_from_slice(&0x0FFF_u16.to_le_bytes());
             for (format, bytes) in [

@@ -107,17 +107,22 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_pictures_a_broken_picture_and_a_missing_one_are_named() {
+    fn a_folder_without_pictures_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
-        let of = |name: &str| read_picture_file(&folder.path().join(name)).map(|_| ());
         std::fs::write(folder.path().join("x.txt"), b"").unwrap();
-        let empty = picture_files(folder.path()).map(|_| ());
+        let error = picture_files(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("no .jpg"), "{error}");
+    }
+
+    #[test]
+    fn a_broken_picture_and_a_missing_one_are_named() {
+        let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("x.jpg"), b"GIF89a").unwrap();
-        for (refused, said) in [
-            (empty, "no .jpg"),
-            (of("x.jpg"), "x.jpg: not a picture"),
-            (of("gone.jpg"), "gone.jpg: cannot be read"),
+        for (name, said) in [
+            ("x.jpg", "x.jpg: not a picture"),
+            ("gone.jpg", "gone.jpg: cannot be read"),
         ] {
+            let refused = read_picture_file(&folder.path().join(name));
             let error = refused.unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }

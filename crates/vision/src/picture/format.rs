@@ -60,13 +60,23 @@ pub enum BayerPattern {
 impl BayerPattern {
     const ALL: [Self; 4] = [Self::Rggb, Self::Bggr, Self::Gbrg, Self::Grbg];
 
-    /// The names with one and with two bytes per pixel.
-    const fn names(self) -> [&'static str; 2] {
+    /// The name with one byte per pixel.
+    const fn narrow_name(self) -> &'static str {
         match self {
-            Self::Rggb => ["bayer_rggb8", "bayer_rggb16"],
-            Self::Bggr => ["bayer_bggr8", "bayer_bggr16"],
-            Self::Gbrg => ["bayer_gbrg8", "bayer_gbrg16"],
-            Self::Grbg => ["bayer_grbg8", "bayer_grbg16"],
+            Self::Rggb => "bayer_rggb8",
+            Self::Bggr => "bayer_bggr8",
+            Self::Gbrg => "bayer_gbrg8",
+            Self::Grbg => "bayer_grbg8",
+        }
+    }
+
+    /// The name with two bytes per pixel.
+    const fn wide_name(self) -> &'static str {
+        match self {
+            Self::Rggb => "bayer_rggb16",
+            Self::Bggr => "bayer_bggr16",
+            Self::Gbrg => "bayer_gbrg16",
+            Self::Grbg => "bayer_grbg16",
         }
     }
 
@@ -99,8 +109,8 @@ impl PictureFormat {
             Self::Nv21 => "nv21",
             Self::Nv24 => "nv24",
             Self::Gray16 => "gray16",
-            Self::Bayer(pattern) => pattern.names()[0],
-            Self::Bayer16(pattern) => pattern.names()[1],
+            Self::Bayer(pattern) => pattern.narrow_name(),
+            Self::Bayer16(pattern) => pattern.wide_name(),
         }
     }
 

@@ -56,22 +56,7 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
     while let Some((marker, content)) = segments.next()? {
         match marker {
             // Baseline, extended sequential and progressive Huffman coding.
-            0xC0..=0xC2 => {
-                let precision = content.first().copied();
-                let height = big_endian_u16(content, 1);
-                let width = big_endian_u16(content, 3);
-                return match (precision, width, height) {
-                    (Some(8), Some(width), Some(height)) => {
-                        Ok(PictureSize::new(u32::from(width), u32::from(height)))
-                    }
-                    (Some(precision), Some(_), Some(_)) => Err(FrameFault::undecodable(format!(
-                        "the JPEG file has {precision} bits per sample; only 8 are supported"
-                    ))),
-                    _ => Err(FrameFault::undecodable(
-                        "the JPEG file's frame header is cut short",
-                    )),
-                };
-            }
+            0xC0..=0xC2 => return size_in_frame_header(content),
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
                 return Err(FrameFault::undecodable(format!(
                     "the JPEG file uses coding process SOF{}; only baseline and progressive \
@@ -86,6 +71,31 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
     Err(FrameFault::undecodable(
         "the JPEG file has no frame header before its pixels",
     ))
+}
+
+/// The size in the content of a frame header: the bits per sample, then the rows and the columns, two bytes each.
+fn size_in_frame_header(content: &[u8]) -> Result<PictureSize, FrameFault> {
+    let [
+        precision,
+        height_high,
+        height_low,
+        width_high,
+        width_low,
+        ..,
+    ] = *content
+    else {
+        return Err(FrameFault::undecodable(
+            "the JPEG file's frame header is cut short",
+        ));
+    };
+    if precision != 8 {
+        return Err(FrameFault::undecodable(format!(
+            "the JPEG file has {precision} bits per sample; only 8 are supported"
+        )));
+    }
+    let width = u16::from_be_bytes([width_high, width_low]);
+    let height = u16::from_be_bytes([height_high, height_low]);
+    Ok(PictureSize::new(u32::from(width), u32::from(height)))
 }
 
 /// Checks that an end-of-image marker follows the pixels. Decoders fill missing data with grey and report success; a
@@ -108,17 +118,19 @@ pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
     Err(FrameFault::undecodable("the JPEG file has no pixels"))
 }
 
-/// A baseline JPEG file up to its end-of-image marker, with a few zeros in the place of it: a decoder that reads ahead finds
-/// enough, and one that still waits for pixels runs out of data. `None` for a progressive file.
+/// A baseline JPEG file up to its end-of-image marker, with a few zeros in the place of it: a decoder that reads ahead
+/// finds enough, and one that still waits for pixels runs out of data. `None` for a progressive file, and for one
+/// without pixels or without an end.
 pub(super) fn with_open_end(bytes: &[u8]) -> Option<Vec<u8>> {
     /// A decoder reads ahead by less than this.
     const AHEAD: [u8; 8] = [0; 8];
     let mut segments = JpegSegments::new(bytes).ok()?;
     let mut is_baseline = false;
     loop {
-        match segments.next().ok()?? {
-            (0xC0 | 0xC1, _) => is_baseline = true,
-            (START_OF_SCAN, _) => break,
+        let (marker, _) = segments.next().ok()??;
+        match marker {
+            0xC0 | 0xC1 => is_baseline = true,
+            START_OF_SCAN => break,
             _ => {}
         }
     }
@@ -137,7 +149,7 @@ fn lacks_huffman_tables(bytes: &[u8]) -> bool {
     };
     while let Ok(Some((marker, _))) = segments.next() {
         match marker {
-            // Tables; other codings have none of these.
+            // Its own tables (0xC4), or a coding that those of Motion JPEG are not for.
             0xC2..=0xCF => return false,
             START_OF_SCAN => return true,
             _ => {}
@@ -227,7 +239,8 @@ impl<'a> JpegSegments<'a> {
                 END_OF_IMAGE => return Ok(None),
                 _ => {}
             }
-            // The length counts itself; a range that ends before it begins is no content.
+            // The length counts its own two bytes. One that is missing or below 2 makes a range that ends before it
+            // begins, and `get` finds no content.
             let length = big_endian_u16(self.bytes, self.at).map_or(0, usize::from);
             let Some(content) = self.bytes.get(self.at + 2..self.at + length) else {
                 return Err(FrameFault::undecodable(format!(
@@ -240,7 +253,8 @@ impl<'a> JpegSegments<'a> {
     }
 }
 
-/// Makes a picture of a JPEG or PNG file: reads its header and checks its size.
+/// Makes a picture of a JPEG or PNG file: reads its header and checks its size. A JPEG file without Huffman tables gets
+/// those of Motion JPEG.
 ///
 /// # Errors
 /// If it is neither, or exceeds a limit.
@@ -259,19 +273,19 @@ pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPict
 /// If it has another format, or exceeds a limit.
 pub fn picture_of_kind(
     format: PictureFormat,
-    bytes: Bytes,
+    file: Bytes,
     limits: &FrameLimits,
 ) -> Result<EncodedPicture, FrameFault> {
-    let size = match format {
-        PictureFormat::Png => png_size(&bytes)?,
-        _ => jpeg_size(&bytes)?,
+    let stored_size = match format {
+        PictureFormat::Png => png_size(&file)?,
+        _ => jpeg_size(&file)?,
     };
-    check_picture(size, limits)?;
-    let size = orientation(format, &bytes).turned(size);
-    let bytes = if format == PictureFormat::Jpeg && lacks_huffman_tables(&bytes) {
-        with_tables(&bytes)
+    check_picture(stored_size, limits)?;
+    let size = orientation(format, &file).turned(stored_size);
+    let bytes = if format == PictureFormat::Jpeg && lacks_huffman_tables(&file) {
+        with_tables(&file)
     } else {
-        bytes
+        file
     };
     Ok(EncodedPicture {
         format,
@@ -292,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_header_is_undecodable_with_a_reason() {
+    fn a_jpeg_file_without_a_size_is_refused_with_a_reason() {
         for (file, part) in [
             (jpeg(&[&SOF[..6]]), "cut short inside segment 0xc0"),
             (jpeg(&[&[0xFF, 0xDA, 0, 2]]), "no frame header"),
@@ -305,6 +319,10 @@ mod tests {
             let text = jpeg_size(&file).unwrap_err().to_string();
             assert!(text.contains(part), "{text} / {part}");
         }
+    }
+
+    #[test]
+    fn a_png_file_without_a_size_is_undecodable() {
         for file in [
             &b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x01"[..],
             b"\x89PNG\r\n\x1a\n\0\0\0\x0dIDAT\0\0\0\x01\0\0\0\x01",

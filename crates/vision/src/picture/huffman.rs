@@ -66,6 +66,7 @@ pub(super) fn with_tables(file: &Bytes) -> Bytes {
     whole.extend_from_slice(&file[..2]);
     let length: usize = TABLES.iter().map(|table| 17 + table.values.len()).sum();
     whole.extend_from_slice(&[0xFF, 0xC4]);
+    // The length of a segment counts its own two bytes.
     whole.extend_from_slice(&(2 + length as u16).to_be_bytes());
     for table in &TABLES {
         whole.extend_from_slice(&[table.destination]);

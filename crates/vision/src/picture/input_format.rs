@@ -198,10 +198,11 @@ impl InputFormat {
         least: PictureSize,
     ) -> PictureSize {
         let (_, mapping) = place(source, *self, self.size);
-        let side = |used: f64, least: u32, most: u32| {
+        let side = |used: f64, shortest: u32, longest: u32| {
+            let strides = used.max(f64::from(shortest)) / f64::from(stride);
             // An error of the scale in the last bit is not a pixel.
-            let strides = (used.max(f64::from(least)) / f64::from(stride) - 1e-6).ceil();
-            (strides as u32).max(1).saturating_mul(stride).min(most)
+            let whole_strides = (strides - 1e-6).ceil() as u32;
+            whole_strides.max(1).saturating_mul(stride).min(longest)
         };
         PictureSize::new(
             side(mapping.width, least.width, self.size.width),
@@ -290,11 +291,11 @@ pub(super) fn place(
     // Ultralytics rounds. YOLOX truncates, even 415.999…, the result for 720 columns at a scale of 416/720: one column
     // less moves boxes by up to 3 pixels and scores by 0.02, so truncation is kept.
     let whole = |value: f64, most: u32| {
-        let value = match format.fit {
+        let rounded = match format.fit {
             Fit::Centre => value.round(),
             Fit::TopLeft | Fit::Stretch => value.floor(),
         };
-        (value as u32).clamp(1, most)
+        (rounded as u32).clamp(1, most)
     };
     let used_width = whole(scaled_width, input.width);
     let used_height = whole(scaled_height, input.height);

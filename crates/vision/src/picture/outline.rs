@@ -47,8 +47,12 @@ mod tests {
             LineStyle::Solid,
         );
         let lit = |x: usize, y: usize| picture.pixels[3 * (8 * y + x)] == 9;
-        assert!(lit(2, 1) && lit(7, 1) && lit(2, 4) && lit(7, 4));
-        assert!(!lit(3, 2) && !lit(7, 2) && !lit(1, 1) && !lit(2, 5));
+        for (x, y) in [(2, 1), (7, 1), (2, 4), (7, 4)] {
+            assert!(lit(x, y), "column {x}, row {y}");
+        }
+        for (x, y) in [(3, 2), (7, 2), (1, 1), (2, 5)] {
+            assert!(!lit(x, y), "column {x}, row {y}");
+        }
     }
 
     #[test]

@@ -25,21 +25,22 @@ pub fn raw_picture(
             "a picture of {size} is too large"
         )));
     };
-    let bytes = if expected == bytes.len() as u64 {
-        bytes
+    let length = bytes.len();
+    let packed = if expected == length as u64 {
+        Some(bytes)
     } else {
-        without_guessed_padding(format, size, &bytes).ok_or_else(|| {
-            FrameFault::undecodable(format!(
-                "a raw {} picture of {size} must have {expected} bytes, not {}; rows may be padded, all alike, to a \
-                 multiple of four bytes",
-                format.as_str(),
-                bytes.len()
-            ))
-        })?
+        without_guessed_padding(format, size, &bytes)
+    };
+    let Some(packed) = packed else {
+        return Err(FrameFault::undecodable(format!(
+            "a raw {} picture of {size} must have {expected} bytes, not {length}; rows may be padded, all alike, to a \
+             multiple of four bytes",
+            format.as_str()
+        )));
     };
     Ok(EncodedPicture {
         format,
-        bytes,
+        bytes: packed,
         size,
         mount: None,
     })
@@ -67,20 +68,7 @@ pub fn raw_picture_of_rows(
             format.as_str()
         )));
     }
-    let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
-    let needed = step.checked_mul(units).map(|parts| parts / PARTS);
-    let packed = match needed {
-        Some(needed) if needed <= bytes.len() => {
-            let has_no_padding = |plane: &Plane| step * plane.share == plane.row * PARTS;
-            if planes.iter().all(has_no_padding) {
-                Some(bytes.slice(..needed))
-            } else {
-                without_padding(&planes, step, bytes)
-            }
-        }
-        _ => None,
-    };
-    let Some(packed) = packed else {
+    let Some(packed) = packed_rows(&planes, step, bytes) else {
         return Err(FrameFault::undecodable(format!(
             "a {} picture of {size} with rows of {step} bytes does not fit in the {} bytes that came",
             format.as_str(),
@@ -95,6 +83,21 @@ pub fn raw_picture_of_rows(
     })
 }
 
+/// The pixels without the padding of their rows, which are `step` bytes apart; copied only if there is padding. `None`
+/// if the rows do not fit in `bytes`.
+fn packed_rows(planes: &[Plane], step: usize, bytes: &Bytes) -> Option<Bytes> {
+    let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
+    let needed = step.checked_mul(units)? / PARTS;
+    if needed > bytes.len() {
+        return None;
+    }
+    let has_no_padding = |plane: &Plane| step * plane.share == plane.row * PARTS;
+    if planes.iter().all(has_no_padding) {
+        return Some(bytes.slice(..needed));
+    }
+    without_padding(planes, step, bytes)
+}
+
 /// The pixels without the padding of their rows; `None` if padding does not explain the length.
 fn without_guessed_padding(
     format: PictureFormat,
@@ -105,23 +108,25 @@ fn without_guessed_padding(
     let first = planes.first()?;
     // The rows of all planes are padded in proportion to the first's.
     let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
-    let stride = bytes.len().checked_mul(PARTS)?.checked_div(units)?;
-    let is_exact = stride.checked_mul(units)? == bytes.len() * PARTS;
-    let padding = stride.checked_sub(first.row)?;
-    if !is_exact || !stride.is_multiple_of(4) || padding == 0 || padding > MOST_PADDING {
-        return None;
+    let parts = bytes.len().checked_mul(PARTS)?;
+    let step = parts.checked_div(units)?;
+    let padding = step.checked_sub(first.row)?;
+    let is_padded = (1..=MOST_PADDING).contains(&padding);
+    if is_padded && parts.is_multiple_of(units) && step.is_multiple_of(4) {
+        without_padding(&planes, step, bytes)
+    } else {
+        None
     }
-    without_padding(&planes, stride, bytes)
 }
 
-/// The pixels without the padding of their rows, which are `stride` bytes apart.
-fn without_padding(planes: &[Plane], stride: usize, mut rest: &[u8]) -> Option<Bytes> {
+/// The pixels without the padding of their rows, which are `step` bytes apart; `None` if the rows do not fit in `rest`.
+fn without_padding(planes: &[Plane], step: usize, mut rest: &[u8]) -> Option<Bytes> {
     let whole = planes.iter().map(|plane| plane.rows * plane.row).sum();
     let mut packed = BytesMut::with_capacity(whole);
     for plane in planes {
-        let step = stride * plane.share / PARTS;
+        let step_of_plane = step * plane.share / PARTS;
         for _ in 0..plane.rows {
-            let (row, after) = rest.split_at_checked(step)?;
+            let (row, after) = rest.split_at_checked(step_of_plane)?;
             packed.extend_from_slice(row.get(..plane.row)?);
             rest = after;
         }

@@ -58,13 +58,13 @@ fn raw_pixels(cdr: &mut Cdr, limits: &FrameLimits) -> Result<EncodedPicture, Fra
         "8UC1" => Some(PictureFormat::Gray8),
         named => PictureFormat::raw_from_name(named),
     };
-    let format = known.ok_or_else(|| {
+    let Some(format) = known else {
         let start: String = encoding.chars().take(32).collect();
-        FrameFault::unknown_format(format!(
+        return Err(FrameFault::unknown_format(format!(
             "ROS image encoding {start:?} is not supported; rgb8, bgr8, rgba8, bgra8, mono8, mono16, bayer_*, yuyv, \
              yuv422_yuy2, uyvy, yuv422, nv12, nv21 and nv24 are"
-        ))
-    })?;
+        )));
+    };
     let size = PictureSize::new(width, height);
     let mut picture = raw_picture_of_rows(format, size, step, &data, limits)?;
     if format.is_wide() && is_big_endian {
@@ -117,7 +117,8 @@ impl Cdr {
     }
 
     fn u32(&mut self, what: &str) -> Result<u32, FrameFault> {
-        self.take(self.read.next_multiple_of(4) - self.read, what)?;
+        let padding = self.read.next_multiple_of(4) - self.read;
+        self.take(padding, what)?;
         let mut field = self.take(4, what)?;
         Ok(if self.little_endian {
             field.get_u32_le()
@@ -131,7 +132,7 @@ impl Cdr {
         self.take(length, what)
     }
 
-    /// True if a short printable text follows.
+    /// True if a short printable text follows, as in a CompressedImage; an Image has its number of rows there.
     fn begins_with_text(&self) -> bool {
         let mut ahead = Self {
             rest: self.rest.clone(),
@@ -141,11 +142,14 @@ impl Cdr {
             return false;
         };
         match text.strip_suffix(b"\0") {
-            // One row looks like an empty text; behind a text come the data, which fill the message.
-            Some([]) => ahead.u32("data").is_ok_and(|length| length as usize == ahead.rest.len()),
-            Some(text) => {
-                text.len() < LONGEST_FORMAT && text.iter().all(|byte| matches!(byte, b' '..=b'~'))
+            Some(text) if text.len() >= LONGEST_FORMAT => false,
+            Some(text) if !text.iter().all(|byte| matches!(byte, b' '..=b'~')) => false,
+            // An Image of one, two or three rows may begin like a text, its columns being the letters. Only behind a text
+            // follow the data, which reach to the end of the message.
+            Some([] | [_] | [_, _]) => {
+                ahead.u32("data").is_ok_and(|length| length as usize == ahead.rest.len())
             }
+            Some(_) => true,
             None => false,
         }
     }
@@ -158,7 +162,8 @@ impl Cdr {
             .map_err(|_| FrameFault::undecodable(format!("the ROS message's {what} is not text")))
     }
 
-    /// Reads the stamp of a `std_msgs/msg/Header` and skips the frame id.
+    /// Reads the stamp of a `std_msgs/msg/Header` and skips the frame id. `None` if the stamp is not set or lies before
+    /// 1970.
     fn header(&mut self) -> Result<Option<u64>, FrameFault> {
         let seconds = self.u32("header.stamp.sec")?.cast_signed();
         let nanoseconds = self.u32("header.stamp.nanosec")?;
@@ -176,4 +181,37 @@ impl Cdr {
 
 fn cut_short(what: &str) -> FrameFault {
     FrameFault::undecodable(format!("the ROS message ends inside {what}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A grey Image of this size in CDR, little-endian.
+    fn grey_image(width: u32, height: u32) -> Bytes {
+        let mut message = vec![0, 1, 0, 0];
+        // Seconds, nanoseconds, and an empty frame id, which is padded before the next number.
+        message.extend([1_u32, 0, 1].map(u32::to_le_bytes).concat());
+        message.extend([0, 0, 0, 0]);
+        message.extend([height, width, 6].map(u32::to_le_bytes).concat());
+        message.extend(b"mono8\0");
+        let is_big_endian = 0;
+        // And a byte of padding.
+        message.extend([is_big_endian, 0]);
+        message.extend([width, width * height].map(u32::to_le_bytes).concat());
+        message.extend(vec![90; (width * height) as usize]);
+        message.into()
+    }
+
+    #[test]
+    fn an_image_of_few_rows_is_no_compressed_image() {
+        for height in 1..=4 {
+            // As letters: nothing, `@`, ` !`.
+            for width in [256, 64, 0x2120] {
+                let read = read_message(&grey_image(width, height), &FrameLimits::default());
+                let (picture, _) = read.unwrap();
+                assert_eq!(picture.size, PictureSize::new(width, height));
+            }
+        }
+    }
 }

@@ -86,9 +86,9 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<u
         let length = u64::from(u32::from_be_bytes([*a, *b, *c, *d]));
         let last = kind == b"IEND";
         file.extend_from_slice(&head);
-        // The content and its checksum.
         let rest = most.saturating_sub(file.len() as u64);
-        file.extend_from_slice(&read_exactly(stream, length + 4, rest)?);
+        let content_and_checksum = read_exactly(stream, length + 4, rest)?;
+        file.extend_from_slice(&content_and_checksum);
         if last {
             return Ok(Some(file));
         }
@@ -106,20 +106,18 @@ pub fn read_ppm(
     if stream.fill_buf()?.is_empty() {
         return Ok(None);
     }
-    let mut numbers = [0_u32; 3];
     let magic = read_exactly(stream, 3, 3)?;
     if magic != b"P6\n" {
         return Err(io::Error::other("a picture is not a PPM file"));
     }
-    for number in &mut numbers {
-        *number = read_number(stream)?;
-    }
-    let [width, height, 255] = numbers else {
-        let most = numbers[2];
+    let width = read_number(stream)?;
+    let height = read_number(stream)?;
+    let highest = read_number(stream)?;
+    if highest != 255 {
         return Err(io::Error::other(format!(
-            "a PPM file has {most} levels per colour, not 255"
+            "a PPM file has {highest} levels per colour, not 255"
         )));
-    };
+    }
     let size = PictureSize::new(width, height);
     let bytes = size.pixels().saturating_mul(3);
     if let Err(fault) = check_picture(size, limits) {
@@ -148,7 +146,11 @@ fn read_number(stream: &mut impl BufRead) -> io::Result<u32> {
             _ => break,
         }
     }
-    text.parse().map_err(|_| io::Error::other("a PPM file has no size"))
+    let no_size = || io::Error::other("a PPM file has no size");
+    if text.len() > 10 {
+        return Err(no_size());
+    }
+    text.parse().map_err(|_| no_size())
 }
 
 fn early(missing: u64) -> io::Error {
@@ -202,12 +204,17 @@ mod tests {
         }
     }
 
-    /// A stream of another kind would be searched for a head without end, and a person would see no picture and no word.
     #[test]
-    fn a_stream_without_heads_or_lengths_is_an_error_and_not_an_empty_one() {
+    fn a_head_without_a_length_is_an_error() {
         let no_length = b"--b\r\nContent-Type: image/jpeg\r\n\r\nd\r\n--b\r\n";
         let error = read_part(&mut &no_length[..], 9).unwrap_err().to_string();
         assert_eq!(error, "the head of a part has no Content-length");
+    }
+
+    /// A stream of another kind would be searched for a head without end, and a person would see no picture and no
+    /// word.
+    #[test]
+    fn a_stream_without_heads_is_an_error_and_not_an_empty_one() {
         let pictures_alone = [0xff; 2 * HEAD_WITHIN];
         let error = read_part(&mut &pictures_alone[..], 9).unwrap_err().to_string();
         assert!(error.contains("no multipart stream"), "{error}");

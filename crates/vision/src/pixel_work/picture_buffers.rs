@@ -22,8 +22,9 @@ struct Buffers {
     idle: Vec<Picture>,
     /// The maximum number of idle buffers.
     most: usize,
-    /// The sizes of the most recent buffers in bytes, and the index of the oldest.
+    /// The sizes of the most recent buffers in bytes.
     recent: [usize; LOOKED_BACK],
+    /// The index of the oldest of them.
     oldest: usize,
 }
 
@@ -51,7 +52,10 @@ impl PictureBuffers {
         let capacity = |index: &usize| idle[*index].pixels.capacity();
         let fitting = (0..idle.len()).filter(|index| capacity(index) >= bytes).min_by_key(capacity);
         let chosen = fitting.or_else(|| (0..idle.len()).max_by_key(capacity));
-        chosen.map_or_else(Picture::default, |index| idle.swap_remove(index))
+        match chosen {
+            Some(index) => idle.swap_remove(index),
+            None => Picture::default(),
+        }
     }
 
     /// Wraps `picture`, so that its buffer comes back to this pool.
@@ -139,15 +143,26 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_gets_the_smallest_fitting_of_a_few_idle_buffers_and_none_still_in_use() {
-        let buffers = PictureBuffers::new(2);
-        let held = [100, 300, 200].map(|bytes| buffers.pooled(picture(bytes)));
-        drop(held);
-        assert_eq!(buffers.idle(), 2);
+    fn a_picture_gets_the_smallest_idle_buffer_that_fits_else_the_largest() {
+        let buffers = PictureBuffers::new(3);
+        drop([100, 300, 200].map(|bytes| buffers.pooled(picture(bytes))));
         assert_eq!(buffers.take(50).pixels.capacity(), 100);
         // It has to grow least.
         assert_eq!(buffers.take(400).pixels.capacity(), 300);
+        assert_eq!(buffers.take(1).pixels.capacity(), 200);
         assert_eq!(buffers.take(1).pixels.capacity(), 0, "none is left");
+    }
+
+    #[test]
+    fn no_more_than_the_most_idle_buffers_are_kept() {
+        let buffers = PictureBuffers::new(2);
+        drop([100, 300, 200].map(|bytes| buffers.pooled(picture(bytes))));
+        assert_eq!(buffers.idle(), 2);
+    }
+
+    #[test]
+    fn a_buffer_that_is_still_in_use_does_not_come_back() {
+        let buffers = PictureBuffers::new(2);
         let pooled = buffers.pooled(picture(100));
         let held = Arc::clone(pooled.shared());
         drop(pooled);

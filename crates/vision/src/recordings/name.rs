@@ -29,9 +29,9 @@ pub(super) struct FileName {
     pub time: Option<DateTime>,
     /// The camera, such as `front`; empty if the name has no mark for it.
     pub view: String,
-    /// The mark.
+    /// The mark for the camera, as it is written in the name; empty if there is none.
     pub mark: String,
-    /// Sorts names.
+    /// The pieces by which names are sorted.
     pub order: Vec<Piece>,
     /// The chapter of a recording, for GoPro.
     chapter: Option<Chapter>,
@@ -166,7 +166,7 @@ fn recording_number(text: &str) -> Option<u32> {
 }
 
 /// The camera that a file shows, and the mark in its name: a word at the end, or behind a time a letter, which another may
-/// precede for the mode of recording (`NF`, `PR`) or follow for the size (`FH`, `NFS`).
+/// precede for the mode of recording (`NF`, `PR`) or follow for the size (`FH`, `NFS`). Both are empty if it has none.
 fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
     let lower = stem.to_ascii_lowercase();
     for (word, view) in WORDS {
@@ -180,10 +180,10 @@ fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
         return ("", "");
     }
     let letters = lower.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
-    let mark = &stem[stem.len() - letters..];
-    let view = match lower.as_bytes()[stem.len() - letters..] {
-        [view] | [view, b'h' | b'l'] | [_, view] => of_letter(view),
-        [_, view, b's'] => match of_letter(view) {
+    let mark_begins = stem.len() - letters;
+    let view = match lower.as_bytes()[mark_begins..] {
+        [letter] | [letter, b'h' | b'l'] | [_, letter] => of_letter(letter),
+        [_, letter, b's'] => match of_letter(letter) {
             "front" => "front (small copy)",
             "rear" => "rear (small copy)",
             "interior" => "interior (small copy)",
@@ -194,7 +194,7 @@ fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
     if view.is_empty() {
         return ("", "");
     }
-    (view, mark)
+    (view, &stem[mark_begins..])
 }
 
 fn of_letter(letter: u8) -> &'static str {
@@ -208,11 +208,15 @@ fn of_letter(letter: u8) -> &'static str {
 }
 
 fn pieces(stem: &str) -> Vec<Piece> {
-    let is_digit = |c: &u8| c.is_ascii_digit();
-    let runs = stem.as_bytes().chunk_by(|one, next| is_digit(one) == is_digit(next));
-    runs.map(|run| {
-        let text = String::from_utf8_lossy(run).to_lowercase();
-        text.parse().map_or(Piece::Text(text), Piece::Number)
-    })
-    .collect()
+    let are_alike = |one: &u8, next: &u8| one.is_ascii_digit() == next.is_ascii_digit();
+    stem.as_bytes().chunk_by(are_alike).map(piece).collect()
+}
+
+/// The piece that consists of these digits, or of these other characters.
+fn piece(run: &[u8]) -> Piece {
+    let text = String::from_utf8_lossy(run).to_lowercase();
+    match text.parse() {
+        Ok(number) => Piece::Number(number),
+        Err(_) => Piece::Text(text),
+    }
 }

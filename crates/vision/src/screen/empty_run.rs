@@ -15,11 +15,16 @@ impl EmptyRun {
         Self { longest, run: 0 }
     }
 
-    /// Limits the screen's verdict `empty`: returns false if the run would be too long.
+    /// Counts the screen's verdict `empty` and limits it: returns false, and ends the run, if it would be too long.
     pub fn limit(&mut self, empty: bool) -> bool {
-        let empty = empty && (self.longest == 0 || self.run < self.longest);
-        self.run = if empty { self.run.saturating_add(1) } else { 0 };
-        empty
+        let may_go_on = self.longest == 0 || self.run < self.longest;
+        if empty && may_go_on {
+            self.run = self.run.saturating_add(1);
+            true
+        } else {
+            self.run = 0;
+            false
+        }
     }
 
     /// Ends the run, because the detector ran for any reason.

@@ -50,7 +50,9 @@ impl ScreenHandle {
             batch_size: 1,
             batch_wait: Duration::ZERO,
         };
-        let (worker, input) = Worker::start(settings, WorkerMeter::default(), build, None).await?;
+        let meter = WorkerMeter::default();
+        let no_successor = None;
+        let (worker, input) = Worker::start(settings, meter, build, no_successor).await?;
         Ok(Some(Self {
             worker,
             preparation: Preparation::new(input),

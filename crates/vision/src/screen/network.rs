@@ -57,18 +57,24 @@ impl ScreenNetwork {
         let shape = self.format.shape();
         let ran = self.session.run(shape, size, &[picture.tensor()], |outputs| {
             let values = outputs.first().map(|output| output.values);
-            match values {
-                Some(&[first, second]) if first.is_finite() && second.is_finite() => {
-                    Ok([first, second])
-                }
-                _ => Err(RunError::Failed(format!(
-                    "the screen returned {} instead of two finite numbers",
-                    values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
-                ))),
-            }
+            logits(values)
         });
         ran.map_err(RunError::Failed)?
     }
+}
+
+/// The values of an output as logits, if they are two finite numbers.
+fn logits(values: Option<&[f32]>) -> Result<Logits, RunError> {
+    let found = match values {
+        Some(&[first, second]) if first.is_finite() && second.is_finite() => {
+            return Ok([first, second]);
+        }
+        Some(values) => format!("{values:?}"),
+        None => "nothing".to_owned(),
+    };
+    Err(RunError::Failed(format!(
+        "the screen returned {found} instead of two finite numbers"
+    )))
 }
 
 fn picture_input(signature: &Signature) -> Result<PictureInput, String> {

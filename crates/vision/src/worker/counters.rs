@@ -40,7 +40,7 @@ impl WorkerMeter {
         *self.0.lock()
     }
 
-    pub(crate) fn update(&self, update: impl FnOnce(&mut WorkerCounts)) {
-        update(&mut self.0.lock());
+    pub(crate) fn update(&self, change: impl FnOnce(&mut WorkerCounts)) {
+        change(&mut self.0.lock());
     }
 }

@@ -21,7 +21,7 @@ pub enum RunError {
     /// The run panicked; the session is rebuilt.
     #[error("the run panicked: {0}")]
     Panicked(String),
-    /// No session can accept pictures now: it is being rebuilt after a failure, or a run takes too long.
+    /// No session can accept pictures now: it is being built, or rebuilt after a failure, or a run takes too long.
     #[error("no session can accept pictures now: {0}")]
     Unavailable(String),
     /// The worker has been stopped.

@@ -83,8 +83,12 @@ impl Rhythm {
     /// `longest`. `None` if it is not expected so soon, or asks at no regular times.
     fn waited_for_until(&self, first: Instant, longest: Duration) -> Option<Instant> {
         let expected = self.asked_at + self.gap?;
-        let is_near = expected <= first + longest && self.deviation <= longest;
-        is_near.then(|| (expected + 4 * self.deviation).min(first + longest))
+        let limit = first + longest;
+        if expected > limit || self.deviation > longest {
+            return None;
+        }
+        let late = expected + 4 * self.deviation;
+        Some(late.min(limit))
     }
 }
 
@@ -148,12 +152,14 @@ impl<I, T> Queue<I, T> {
             return Some(first);
         }
         let longest = self.batch_wait.min(self.last_run);
-        let others = self
-            .askers
-            .iter()
-            .filter(|(asker, rhythm)| rhythm.size == size && !waiting.contains(asker));
-        let last = others.filter_map(|(_, rhythm)| rhythm.waited_for_until(first, longest)).max();
-        Some(last.map_or(first, |last| last.max(first)))
+        let mut begins_at = first;
+        for (asker, rhythm) in &self.askers {
+            let could_share = rhythm.size == size && !waiting.contains(asker);
+            if could_share && let Some(until) = rhythm.waited_for_until(first, longest) {
+                begins_at = begins_at.max(until);
+            }
+        }
+        Some(begins_at)
     }
 
     /// Those who wait with pictures of `size`.
@@ -199,7 +205,9 @@ impl<I, T> Queue<I, T> {
                 is_new(request) && batch.first().is_none_or(|first| first.size == request.size)
             });
             let Some(place) = fitting else { break };
-            all_in_turn &= in_turn == fitting;
+            if fitting != in_turn {
+                all_in_turn = false;
+            }
             let request = self.waiting.remove(place);
             if all_in_turn {
                 self.last_served = request.asker;

@@ -17,6 +17,7 @@ pub(super) struct Successor<M: Model> {
 }
 
 impl<M: Model> Successor<M> {
+    /// Begins to build the model on a thread of its own.
     pub(super) fn build(name: &'static str, build: Build<M>) -> Result<Self, StartError> {
         let thread =
             ModelThread::spawn(name, build).map_err(|error| StartError::thread(name, error))?;
@@ -33,6 +34,7 @@ impl<M: Model> Successor<M> {
 
 /// What a successor tells.
 pub(super) enum Told<M: Model> {
+    /// Its thread has finished the build; `None` if the thread is gone.
     Outcome(Option<Outcome<M>>),
     /// It is still being built.
     Still,

@@ -34,7 +34,7 @@ type Scene = (Asker, Arc<()>);
 impl WorkerInput for Scene {
     /// Cameras from 10 on have pictures of another size.
     fn size(&self) -> PictureSize {
-        let Asker(camera) = self.0;
+        let (Asker(camera), _) = *self;
         let height = if camera < 10 { 1 } else { 2 };
         PictureSize::new(1, height)
     }
@@ -57,7 +57,10 @@ struct Next {
 }
 
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
-struct Scripted(Arc<Script>, ExecutionProvider);
+struct Scripted {
+    script: Arc<Script>,
+    provider: ExecutionProvider,
+}
 
 impl Model for Scripted {
     type Input = Scene;
@@ -65,13 +68,13 @@ impl Model for Scripted {
     type Facts = usize;
 
     fn facts(&self) -> usize {
-        self.0.next.lock().facts
+        self.script.next.lock().facts
     }
 
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<Asker>, RunError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
-        self.0.started.send(cameras.clone()).ok();
-        let step = self.0.steps.lock().recv();
+        self.script.started.send(cameras.clone()).ok();
+        let step = self.script.steps.lock().recv();
         let reason = match step {
             Ok(Step::Answer) => return Ok(cameras),
             Ok(Step::AnswerTooFew) => return Ok(cameras[1..].to_vec()),
@@ -86,15 +89,15 @@ impl Model for Scripted {
     }
 
     fn provider(&self) -> ExecutionProvider {
-        self.1
+        self.provider
     }
 }
 
 impl Drop for Scripted {
     fn drop(&mut self) {
-        self.0.ended.send(()).ok();
-        let hangs = self.0.next.lock().end.take();
-        if let Some(until) = hangs {
+        self.script.ended.send(()).ok();
+        let hangs_until = self.script.next.lock().end.take();
+        if let Some(until) = hangs_until {
             until.recv().ok();
         }
     }
@@ -138,12 +141,16 @@ async fn stage_with(
     let followed = script.clone();
     let factory = move || match followed.next.lock().failures.pop_front() {
         Some(reason) => Err(StartError::first_run("scripted.onnx".as_ref(), reason)),
-        None => Ok(Scripted(followed.clone(), ExecutionProvider::Cpu)),
+        None => Ok(Scripted {
+            script: Arc::clone(&followed),
+            provider: ExecutionProvider::Cpu,
+        }),
     };
     let successor = successor(Arc::clone(&script));
-    let worker = Worker::start(settings, WorkerMeter::default(), factory, successor).await;
+    let starting = Worker::start(settings, WorkerMeter::default(), factory, successor);
+    let (worker, _) = starting.await.unwrap();
     Stage {
-        worker: worker.unwrap().0,
+        worker,
         started,
         ended,
         steps,
@@ -294,30 +301,45 @@ async fn cameras_take_turns_however_often_one_asks() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
+async fn a_slow_run_is_answered_at_the_limit_with_an_error() {
     let mut stage = stage(settings()).await;
     let begun = Instant::now();
     let late = stage.begin(0).await;
-    let waiting = stage.ask(1);
-    stage.until_waiting(1).await;
-
     pass(TIMEOUT - Duration::from_millis(1)).await;
     assert!(!late.is_finished());
     pass(Duration::from_millis(1)).await;
     let error = late.await.unwrap().unwrap_err();
     assert_eq!(error, RunError::TimedOut { timeout_ms: 2000 });
     assert_eq!(begun.elapsed(), TIMEOUT);
-    let refused = waiting.await.unwrap().unwrap_err();
-    assert!(matches!(refused, RunError::Unavailable(_)));
     let reason = stage.until_degraded().await;
     assert!(reason.contains("2000 ms"), "{reason}");
+}
 
-    // Until the run returns, requests are refused at once.
-    assert!(stage.worker.accepts().is_err());
-    let refused = stage.ask(2).await.unwrap().unwrap_err();
+#[tokio::test(start_paused = true)]
+async fn pictures_are_refused_from_the_limit_of_a_slow_run_until_it_comes_back() {
+    let mut stage = stage(settings()).await;
+    let late = stage.begin(0).await;
+    let waiting = stage.ask(1);
+    stage.until_waiting(1).await;
+    pass(TIMEOUT).await;
+    late.await.unwrap().unwrap_err();
+    let refused = waiting.await.unwrap().unwrap_err();
     assert!(matches!(refused, RunError::Unavailable(_)));
+    assert!(stage.worker.accepts().is_err());
+    let refused_at_once = stage.ask(2).await.unwrap().unwrap_err();
+    assert!(matches!(refused_at_once, RunError::Unavailable(_)));
     assert_eq!(stage.counts().refused, 3);
+    stage.end(Step::Answer);
+    stage.until_ready().await;
+    assert!(stage.worker.accepts().is_ok());
+}
 
+#[tokio::test(start_paused = true)]
+async fn a_slow_run_that_comes_back_before_its_thread_counts_as_stuck_keeps_its_session() {
+    let mut stage = stage(settings()).await;
+    let late = stage.begin(0).await;
+    pass(TIMEOUT).await;
+    late.await.unwrap().unwrap_err();
     pass(STUCK_AFTER - Duration::from_millis(1)).await;
     stage.end(Step::Answer);
     stage.until_ready().await;
@@ -327,7 +349,6 @@ async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
         completed: 1,
         batches: 1,
         timed_out: 1,
-        refused: 3,
         ..WorkerCounts::default()
     };
     assert_eq!(stage.counts(), expected);
@@ -337,12 +358,12 @@ async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
 #[tokio::test(start_paused = true)]
 async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
     // It hangs in a run, or while it closes the session of a failed one.
-    for closes in [false, true] {
+    for hangs_while_closing in [false, true] {
         let mut stage = stage(settings()).await;
         let (_go_on, until) = blocking::channel();
         stage.script.next.lock().end = Some(until);
         let hanging = stage.begin(0).await;
-        if closes {
+        if hangs_while_closing {
             stage.end(FAIL);
             stage.ended.recv().await.unwrap();
         }
@@ -576,9 +597,8 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
     assert!(gone.await.unwrap_err().is_cancelled());
     let last = stage.ask(2);
     stage.until_waiting(2).await;
-    stage.end(Step::Answer);
     stage.answer(first).await;
-    assert_eq!(last.await.unwrap().unwrap().output, Asker(2));
+    assert_eq!(stage.answer(last).await.output, Asker(2));
     let counts = stage.counts();
     assert_eq!(counts.completed, 2);
     assert_eq!(counts.cancelled, 1);

@@ -23,8 +23,8 @@ const WITHOUT_EFFECT: [&str; 4] = [
     "detector.onnxruntime",
 ];
 
-/// Describes what all runs have in common. A run is under everything that the node's configuration and the arguments say,
-/// except for what is known to have no effect: so a setting that is added later is noticed, too.
+/// Describes what all runs have in common: everything that the node's configuration and the arguments say, except for
+/// what is known to have no effect. So a setting that is added later is part of it, too.
 ///
 /// # Errors
 /// When a file that the configuration names cannot be read.
@@ -92,7 +92,7 @@ pub(super) fn describe(arguments: &BoardArguments, config: &NodeConfig) -> anyho
 fn settings_of(config: &NodeConfig) -> anyhow::Result<BTreeMap<String, String>> {
     let mut played = played_of(config);
     played.policy = without_thresholds(played.policy);
-    // A pause is part of a policy's label.
+    // A pause is part of a policy's label. As NaN it is left out, like the thresholds.
     played.screen.pause_s = f64::NAN;
     played.screen.after_s = f64::NAN;
     let mut settings = BTreeMap::new();
@@ -125,17 +125,18 @@ fn settings_of(config: &NodeConfig) -> anyhow::Result<BTreeMap<String, String>> 
     Ok(settings)
 }
 
-/// The policies' settings without the thresholds, which are part of a policy's label: not a number is written as nothing.
+/// The policies' settings without the thresholds, which are part of a policy's label. They become NaN, which JSON
+/// writes as null, and [`flatten`] leaves null out.
 fn without_thresholds(mut policy: PolicyConfig) -> PolicyConfig {
     for name in known_policies() {
         name.clone_into(&mut policy.name);
-        // A policy without a threshold refuses, and has nothing to forget.
+        // A policy without a threshold refuses the value, and has nothing to leave out.
         let _ = policy.set_argument("NaN");
     }
     policy
 }
 
-/// Adds the members of `value` to `settings`, by their keys as in the configuration.
+/// Adds the members of `value` that are not null to `settings`, by their keys as in the configuration.
 fn flatten(key: String, value: &Value, settings: &mut BTreeMap<String, String>) {
     match value {
         Value::Object(members) => {
@@ -189,7 +190,7 @@ mod tests {
         toml::from_str(text).unwrap()
     }
 
-    /// The keys that differ from those without `text` and `arguments`.
+    /// The keys of the settings that the configuration `text` and the `arguments` change.
     fn differing(text: &str, arguments: &[&str]) -> Vec<String> {
         let folder = tempfile::tempdir().unwrap();
         for (name, bytes) in [("a.onnx", "a"), ("b.onnx", "b")] {
@@ -269,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn what_changes_no_run_or_is_in_its_label_is_no_part_of_their_setup() {
+    fn a_setting_that_changes_no_run_is_no_part_of_their_setup() {
         for text in [
             "[log]\nlevel = \"debug\"",
             "[node]\nname = \"car-7\"\nstate_dir = \"state\"",
@@ -278,13 +279,22 @@ mod tests {
             "[clip]\nwindow_s = 10.0",
             "[record]\nfolder = \"recordings\"",
             "[detector.gpu]\nengine_cache = \"engines\"",
-            "[policy]\nname = \"vanilla\"\nu = 5e-4\nlambda = 0.1",
-            "[policy.fixed_skip]\nn = 3",
-            "[screen]\npause_s = 0.2\nafter_s = 2.0",
             "[[camera]]\nname = \"rear\"",
         ] {
             assert_eq!(differing(text, &[]), [""; 0], "{text}");
         }
-        assert_eq!(differing("", &["--sweep", "u=1e-3", "--restart"]), [""; 0]);
+        assert_eq!(differing("", &["--restart"]), [""; 0]);
+    }
+
+    #[test]
+    fn what_the_label_of_a_run_says_is_no_part_of_their_setup() {
+        for text in [
+            "[policy]\nname = \"vanilla\"\nu = 5e-4\nlambda = 0.1",
+            "[policy.fixed_skip]\nn = 3",
+            "[screen]\npause_s = 0.2\nafter_s = 2.0",
+        ] {
+            assert_eq!(differing(text, &[]), [""; 0], "{text}");
+        }
+        assert_eq!(differing("", &["--sweep", "u=1e-3"]), [""; 0]);
     }
 }

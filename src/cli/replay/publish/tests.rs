@@ -36,55 +36,63 @@ async fn played(
 ) -> (Vec<Arrived>, Sent) {
     let frames = Mutex::new(Vec::new());
     let start = Instant::now();
+    let send = |frame: OutgoingFrame| {
+        let frames = &frames;
+        let wait = slow(frame.attachment.seq.unwrap());
+        async move {
+            tokio::time::sleep(wait).await;
+            let after = start.elapsed();
+            frames.lock().unwrap().push(Arrived { after, frame });
+            Ok(None)
+        }
+    };
     let unwatched = |_: &Sent| {};
     let never = CancellationToken::new();
-    let sent = publish(
-        source,
-        |frame: OutgoingFrame| {
-            let frames = &frames;
-            let wait = slow(frame.attachment.seq.unwrap());
-            async move {
-                tokio::time::sleep(wait).await;
-                let after = start.elapsed();
-                frames.lock().unwrap().push(Arrived { after, frame });
-                Ok(None)
-            }
-        },
-        &options,
-        unwatched,
-        &never,
-    )
-    .await
-    .unwrap();
+    let sent = publish(source, send, &options, unwatched, &never).await.unwrap();
     (frames.into_inner().unwrap(), sent)
 }
 
 #[tokio::test(start_paused = true)]
 async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
     for (rate, period_ms) in [("", 100), ("--rate 4", 250)] {
-        let options = PublishOptions {
-            first_sequence: 7,
-            ..options(rate)
-        };
-        let (frames, sent) = played(numbers(5), options, |_| Duration::ZERO).await;
+        let (frames, sent) = played(numbers(5), options(rate), |_| Duration::ZERO).await;
         assert_eq!(sent.frames, 5);
         assert_eq!(sent.bytes, 5);
         assert_eq!(sent.behind, 0);
-        let began_ns = frames[0].frame.attachment.t_ns.unwrap();
-        for (number, Arrived { after, frame }) in (0..).zip(&frames) {
+        for (number, Arrived { after, .. }) in (0_u32..).zip(&frames) {
             let expected = Duration::from_millis(period_ms) * number;
             let off = after.abs_diff(expected);
             assert!(off < Duration::from_millis(5), "{after:?}");
-            assert_eq!(frame.attachment.seq, Some(7 + u64::from(number)));
-            // The attachment has the frame's time in the recording, and not the time at which it was sent.
-            let captured_ns = u64::from(number) * period_ms * 1_000_000;
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_frame_has_its_time_in_the_recording_and_not_the_time_at_which_it_was_sent() {
+    for (rate, period_ms) in [("", 100), ("--rate 4", 250)] {
+        let (frames, _) = played(numbers(5), options(rate), |_| Duration::ZERO).await;
+        let began_ns = frames[0].frame.attachment.t_ns.unwrap();
+        for (number, Arrived { frame, .. }) in (0_u64..).zip(&frames) {
+            let captured_ns = number * period_ms * 1_000_000;
             let found_ns = frame.attachment.t_ns.unwrap() - began_ns;
             assert!(found_ns.abs_diff(captured_ns) <= 1, "{found_ns}");
-            assert_eq!(frame.attachment.clip.as_deref(), Some("numbers"));
-            assert_eq!(&*frame.picture.bytes, [number as u8]);
-            // A raw picture gives its size.
-            assert_eq!(frame.attachment.width, Some(1));
         }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_frame_has_its_picture_number_and_clip_and_a_raw_one_its_size() {
+    let options = PublishOptions {
+        first_sequence: 7,
+        ..PublishOptions::default()
+    };
+    let (frames, _) = played(numbers(5), options, |_| Duration::ZERO).await;
+    for (number, Arrived { frame, .. }) in (0_u8..).zip(&frames) {
+        assert_eq!(&*frame.picture.bytes, [number]);
+        assert_eq!(frame.attachment.seq, Some(7 + u64::from(number)));
+        assert_eq!(frame.attachment.clip.as_deref(), Some("numbers"));
+        assert_eq!(frame.attachment.width, Some(1));
+        assert_eq!(frame.attachment.height, Some(1));
     }
 }
 
@@ -108,7 +116,7 @@ async fn what_was_missed_is_not_made_up_for_in_a_burst() {
 }
 
 /// The number of pictures, or the demonstration, whose folders are clips; the options; and the frames in each clip.
-const CLIPS: &str = "
+const CLIPS_OF_PLAYS: &str = "
 3 --loop --frames 7 --clip drive: 3 drive-0001, 3 drive-0002, 1 drive-0003
 7 --clip c --clip-seconds 0.3: 3 c-0001, 3 c-0002, 1 c-0003
 7 --clip c --clip-seconds 0.3 --rate max: 3 c-0001, 3 c-0002, 1 c-0003
@@ -121,7 +129,7 @@ road --frames 90 --loop --no-clip: 90 none
 
 #[tokio::test(start_paused = true)]
 async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
-    for case in CLIPS.trim().lines() {
+    for case in CLIPS_OF_PLAYS.trim().lines() {
         let (played_with, expected) = case.split_once(": ").unwrap();
         let (pictures, arguments) = played_with.split_once(' ').unwrap();
         let source: Box<dyn FrameSource> = match pictures {
@@ -145,8 +153,7 @@ async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_loop_ends_at_the_shutdown_and_if_it_has_no_frames() {
-    let endless = options("--loop");
+async fn a_loop_ends_at_the_shutdown() {
     let unheard = |_: OutgoingFrame| async { Ok(None) };
     let shutdown = CancellationToken::new();
     let stop = |sent: &Sent| {
@@ -154,10 +161,15 @@ async fn a_loop_ends_at_the_shutdown_and_if_it_has_no_frames() {
             shutdown.cancel();
         }
     };
-    let sent = publish(numbers(3), unheard, &endless, stop, &shutdown).await;
+    let sent = publish(numbers(3), unheard, &options("--loop"), stop, &shutdown).await;
     assert_eq!(sent.unwrap().frames, 20);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_loop_without_frames_is_refused() {
+    let unheard = |_: OutgoingFrame| async { Ok(None) };
     let unwatched = |_: &Sent| {};
     let never = CancellationToken::new();
-    let nothing = publish(numbers(0), unheard, &endless, unwatched, &never).await;
+    let nothing = publish(numbers(0), unheard, &options("--loop"), unwatched, &never).await;
     assert!(nothing.unwrap_err().to_string().contains("no frames"));
 }

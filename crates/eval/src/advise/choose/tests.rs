@@ -53,15 +53,20 @@ fn advice(policy: &str, target: &str) -> Advice {
 }
 
 #[test]
-fn a_recall_is_met_by_its_lower_bound_and_a_stricter_one_saves_no_more() {
+fn a_recall_is_met_by_its_lower_bound() {
     let advice = advice("expected-loss", "recall=0.8");
     let best = advice.best().expect("it can be met");
     assert!(best.recall.unwrap().low >= 0.8, "{best:?}");
     assert!(best.skip_rate.unwrap().value > 0.1, "{best:?}");
-    let strict = self::advice("expected-loss", "recall=0.9");
+}
+
+#[test]
+fn a_stricter_recall_saves_no_more() {
     let rate = |best: &Proposal| best.skip_rate.unwrap().value;
-    let saved = |advice: &Advice| advice.best().map_or(0.0, rate);
-    assert!(saved(&strict) <= saved(&advice) + 1e-12);
+    let saved = |target: &str| advice("expected-loss", target).best().map_or(0.0, rate);
+    let loose = saved("recall=0.8");
+    let strict = saved("recall=0.9");
+    assert!(strict <= loose + 1e-12, "{strict} and {loose}");
 }
 
 #[test]
@@ -95,9 +100,9 @@ fn a_policy_whose_lower_threshold_skips_more_is_advised_like_the_others() {
         let range = asked..asked + 0.15;
         assert!(range.contains(&skipped), "{target}: {best:?}");
     }
-    let careful = advice("ctd", "recall=0.999");
-    let bold = advice("ctd", "recall=0.5");
-    let [careful, bold] = [careful, bold].map(|advice| advice.proposals[0].value);
+    let value = |target: &str| advice("ctd", target).proposals[0].value;
+    let careful = value("recall=0.999");
+    let bold = value("recall=0.5");
     assert!(careful > bold, "{careful} and {bold}");
 }
 
@@ -138,7 +143,8 @@ fn a_recorded_screen_is_tried_as_well_as_none() {
     .unwrap();
     let screens: Vec<_> = advice.proposals.iter().map(|found| found.screen).collect();
     assert_eq!(screens.len(), 2);
-    assert!(screens.contains(&ScreenRule::Recorded) && screens.contains(&ScreenRule::Nonempty));
+    assert!(screens.contains(&ScreenRule::Recorded));
+    assert!(screens.contains(&ScreenRule::Nonempty));
 }
 
 #[test]
@@ -150,21 +156,33 @@ fn an_unreachable_target_is_reported_without_a_proposal() {
     assert!(!text.contains("node.toml"), "{text}");
 }
 
+/// The reason why there is no advice.
+fn refusal(policy: &str, settings: &Settings) -> String {
+    let target = Target::Recall(0.9);
+    advise(&recordings(), target, ANY_PRECISION, policy, settings)
+        .unwrap_err()
+        .to_string()
+}
+
 #[test]
-fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
-    let refused = |policy: &str, settings: &Settings| {
-        let target = Target::Recall(0.9);
-        advise(&recordings(), target, ANY_PRECISION, policy, settings)
-            .unwrap_err()
-            .to_string()
-    };
+fn a_recording_without_boxes_at_the_confidence_is_rejected() {
     let sure = Settings {
         confidence: 0.9,
         ..Settings::default()
     };
-    assert!(refused("albireo", &sure).contains("--confidence"));
-    assert!(refused("vanilla", &Settings::default()).contains("no threshold"));
-    assert!(refused("albiro", &Settings::default()).contains("no policy `albiro`"));
+    let reason = refusal("albireo", &sure);
+    assert!(reason.contains("--confidence"), "{reason}");
+}
+
+#[test]
+fn a_policy_that_is_unknown_or_has_no_threshold_is_rejected() {
+    for (policy, expected) in [
+        ("vanilla", "no threshold"),
+        ("albiro", "no policy `albiro`"),
+    ] {
+        let reason = refusal(policy, &Settings::default());
+        assert!(reason.contains(expected), "{reason}");
+    }
 }
 
 #[test]
@@ -177,8 +195,8 @@ fn the_proposed_lines_are_a_valid_node_configuration() {
         for proposal in advice(policy, "skip_rate=0.3").proposals {
             let node: Node = toml::from_str(&proposal.node_toml).unwrap();
             assert_eq!(node.policy.name, policy);
-            let policy = node.policy.build().unwrap();
-            assert_eq!(policy.threshold(), Some(proposal.value));
+            let built = node.policy.build().unwrap();
+            assert_eq!(built.threshold(), Some(proposal.value));
         }
     }
 }
@@ -215,6 +233,10 @@ fn a_value_must_also_have_the_precision() {
     let strict = precise(found.low + 1e-6);
     assert!(strict.best().is_none_or(|best| best.precision.unwrap().low > found.low));
     assert_ne!(strict.best(), loose.best());
+}
+
+#[test]
+fn the_text_names_the_precision_that_no_value_has() {
     let text = render(&precise(0.9999), WIDTH);
     for part in ["--precision", "precision of at least 0.9999"] {
         assert!(text.contains(part), "{text}");

@@ -88,9 +88,17 @@ fn a_mean_has_students_interval_over_the_rounds() {
     assert_eq!(found.mean, 12.0);
     assert_eq!(found.rounds, 3);
     assert!((found.half.unwrap() - 4.968_275).abs() < 1e-5, "{found:?}");
+}
+
+#[test]
+fn a_single_round_has_no_interval_and_equal_ones_have_one_of_zero() {
     assert_eq!(Mean::of(&[3.0]).unwrap().half, None);
     assert_eq!(Mean::of(&[0.0, 0.0]).unwrap().half, Some(0.0));
     assert_eq!(Mean::of(&[2.0, 2.0]).unwrap().half, Some(0.0));
+}
+
+#[test]
+fn there_is_no_mean_of_no_values_or_of_one_that_is_not_finite() {
     assert_eq!(Mean::of(&[]), None);
     assert_eq!(Mean::of(&[1.0, f64::NAN]), None);
 }
@@ -116,7 +124,7 @@ fn changes_are_paired_by_round_so_that_a_drift_does_not_widen_them() {
 }
 
 #[test]
-fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
+fn the_least_reliable_quality_of_a_run_is_that_of_the_whole() {
     let mut runs = round(0, [9.0, 5.0], 50).to_vec();
     let quality_of = |runs: &Vec<Run>| summarise(&comparison(&["a", "b"], runs.clone())).energy;
     runs[1].report.energy.quality = EnergyQuality::Partial;

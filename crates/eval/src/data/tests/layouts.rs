@@ -1,14 +1,14 @@
 //! Each layout of a benchmark is read with its own counting, classes and marks.
 
 use super::super::*;
-use super::{assert_refused, folder};
+use super::{assert_refused, folder, left_out};
 use crate::data::classes::{CAR, PERSON};
 
 const SEQINFO: &str =
     "[Sequence]\nname=M\nimDir=img1\nframeRate=30\nseqLength=2\nimWidth=640\nimHeight=480\n";
 
-#[test]
-fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
+/// A sequence of MOTChallenge with rows of both releases.
+fn mot_sequence() -> DataSet {
     let rows = "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
                  1,7,11,21,10,20,1,3.5,4.5,-1\n";
     let files = folder(&[
@@ -18,26 +18,65 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
         ("train/M/img1/000002.jpg", ""),
         ("train/M/img1/000001.jpg", ""),
     ]);
-    let data = mot_challenge::read(&files.path().join("train")).unwrap();
-    let clip = &data.clips[0];
+    mot_challenge::read(&files.path().join("train")).unwrap()
+}
+
+#[test]
+fn a_sequence_of_mot_challenge_is_described_by_its_seqinfo() {
+    let clip = &mot_sequence().clips[0];
     assert_eq!(clip.name, "M");
     assert_eq!(clip.frames, 2);
     assert_eq!(clip.frame_rate, Some(30.0));
     assert!(clip.pictures[0].ends_with("000001.jpg"));
-    let truth = clip.truth.as_ref().unwrap();
-    let objects: Vec<_> = truth[0].iter().map(|b| (b.object, b.class)).collect();
-    assert_eq!(objects, [(Some(4), PERSON), (Some(7), PERSON)]);
-    let c = truth[0][0].corners;
-    assert_eq!([c.x1, c.y1, c.x2, c.y2], [10.0, 20.0, 20.0, 40.0]);
-    assert!(truth[1].is_empty());
+}
+
+#[test]
+fn mot_challenge_counts_frames_and_pixels_from_one() {
+    let clip = &mot_sequence().clips[0];
+    let corners = Corners {
+        x1: 10.0,
+        y1: 20.0,
+        x2: 20.0,
+        y2: 40.0,
+    };
+    assert_eq!(clip.truth.as_ref().unwrap()[0][0].corners, corners);
+    assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
+}
+
+#[test]
+fn the_people_of_both_releases_of_mot_challenge_are_objects() {
+    let clip = &mot_sequence().clips[0];
+    let people = &clip.truth.as_ref().unwrap()[0];
+    assert!(people.iter().all(|object| object.class == PERSON));
+    let numbers: Vec<_> = people.iter().map(|object| object.object).collect();
+    assert_eq!(numbers, [Some(4), Some(7)]);
+}
+
+#[test]
+fn what_mot_challenge_does_not_judge_is_no_object_and_counted() {
+    let data = mot_sequence();
+    let clip = &data.clips[0];
+    assert!(clip.truth.as_ref().unwrap()[1].is_empty());
     let marks: Vec<_> = clip.ignored[1].iter().map(|ignored| ignored.mark).collect();
     assert_eq!(marks, [Mark::Unjudged, Mark::Distractor]);
-    assert_eq!(data.report.left_out[&LeftOut::IgnoredRegion].0, 1);
-    assert_eq!(data.report.left_out[&LeftOut::Unjudged].0, 1);
+    assert_eq!(left_out(&data.report, LeftOut::IgnoredRegion), 1);
+    assert_eq!(left_out(&data.report, LeftOut::Unjudged), 1);
     assert_eq!(data.report.unmapped_classes["6"], 1);
-    assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
-    let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
-    assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
+}
+
+#[test]
+fn a_broken_row_of_mot_challenge_is_named_with_its_line() {
+    for (row, part) in [
+        ("1,4,11", "gt.txt:1: "),
+        // Frames count from 1, and one less than this is no i64.
+        (
+            "-9223372036854775808,4,11,21,10,20,1,1,1.0",
+            "gt.txt:1: frame -9223372036854775808 does not exist",
+        ),
+    ] {
+        let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", row)]);
+        assert_refused(mot_challenge::read(broken.path()), &[part]);
+    }
 }
 
 #[test]
@@ -93,27 +132,39 @@ fn visdrone_marks_regions_others_and_objects_of_score_zero() {
     assert_eq!(data.report.unmapped_classes["tricycle"], 1);
 }
 
-#[test]
-fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
+/// A sequence of KITTI tracking whose detections reach a frame further than its labels.
+fn kitti_sequence() -> DataSet {
     let label = "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
                  0 -1 DontCare -1 -1 -10 1 1 5 5 -1 -1 -1 -1 -1 -1 -1\n\
                  2 2 Tram 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
                  2 3 Cyclist 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n";
     let found = "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n";
     let files = folder(&[("label_02/0007.txt", label), ("det_02/0007.txt", found)]);
-    let data = kitti::read(files.path()).unwrap();
-    let clip = &data.clips[0];
-    assert_eq!(clip.name, "0007");
-    assert_eq!(clip.frames, 4);
-    let truth = clip.truth.as_ref().unwrap();
+    kitti::read(files.path()).unwrap()
+}
+
+#[test]
+fn kitti_tracking_maps_its_types_and_counts_unmapped_ones() {
+    let data = kitti_sequence();
+    let truth = data.clips[0].truth.as_ref().unwrap();
     assert_eq!(truth[0][0].class, CAR);
     assert_eq!(truth[2].len(), 1);
-    assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
-    let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
-    assert_eq!(regions[0], 1);
-    assert_eq!(clip.ignored[0][0].corners.x2, 5.0);
-    assert!(regions[1..].iter().all(|&count| count == 0));
     assert_eq!(data.report.unmapped_classes["Tram"], 1);
+}
+
+#[test]
+fn a_sequence_of_kitti_is_as_long_as_the_longer_of_labels_and_detections() {
+    let clip = &kitti_sequence().clips[0];
+    assert_eq!(clip.name, "0007");
+    assert_eq!(clip.frames, 4);
+    assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
+}
+
+#[test]
+fn boxes_where_kitti_does_not_care_are_not_judged() {
+    let clip = &kitti_sequence().clips[0];
+    assert_eq!(clip.ignored.iter().flatten().count(), 1);
+    assert_eq!(clip.ignored[0][0].corners.x2, 5.0);
 }
 
 /// Labels of BDD100K in its older spelling, of the first and the third frame of a video and of one frame of another.
@@ -127,6 +178,9 @@ const OLD_SPELLING: &str = r#"[{"name": "v-1.jpg", "video_name": "v", "index": 0
 /// Predictions for the second frame of the first video, in the newer spelling.
 const NEW_SPELLING: &str = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
     {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
+
+const NO_LABELS: Option<&str> = None;
+const NO_PREDICTIONS: Option<&str> = None;
 
 /// Reads a file of labels and one of predictions, as far as they are given.
 fn bdd100k(
@@ -149,25 +203,30 @@ fn bdd100k(
 }
 
 #[test]
-fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
-    // The paper's evaluator takes a crowd for an object, and does not know trailers.
+fn bdd100k_is_read_in_both_spellings() {
     let data = bdd100k(Some(OLD_SPELLING), Some(NEW_SPELLING), Rules::Paper).unwrap();
     let clip = &data.clips[0];
     assert_eq!(clip.name, "v");
     assert_eq!(clip.frames, 3);
+    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
+    assert_eq!(data.clips[1].detections, None, "no predictions for `w`");
+}
+
+#[test]
+fn the_papers_evaluator_takes_a_crowd_of_bdd100k_for_an_object_and_does_not_know_trailers() {
+    let data = bdd100k(Some(OLD_SPELLING), NO_PREDICTIONS, Rules::Paper).unwrap();
+    let clip = &data.clips[0];
     let rider = clip.truth.as_ref().unwrap()[0][0];
     assert_eq!(rider.class, PERSON);
     assert_eq!(rider.object, Some(122_062));
     assert_eq!(data.report.unmapped_classes["trailer"], 1);
     let marks: Vec<_> = clip.ignored.iter().flatten().collect();
     assert_eq!(marks, [&Ignored::UNLABELLED], "of the second frame");
-    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
-    assert_eq!(data.clips[1].detections, None, "no predictions for `w`");
 }
 
 #[test]
 fn crowds_and_trailers_of_bdd100k_are_not_judged_by_its_own_rules() {
-    let data = bdd100k(Some(OLD_SPELLING), None, Rules::Benchmark).unwrap();
+    let data = bdd100k(Some(OLD_SPELLING), NO_PREDICTIONS, Rules::Benchmark).unwrap();
     let clip = &data.clips[0];
     assert!(clip.truth.as_ref().unwrap()[0].is_empty());
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
@@ -180,11 +239,15 @@ fn crowds_and_trailers_of_bdd100k_are_not_judged_by_its_own_rules() {
 }
 
 #[test]
-fn predictions_without_scores_and_repeated_frames_of_bdd100k_are_refused() {
-    let labels_for_predictions = bdd100k(None, Some(OLD_SPELLING), Rules::Paper);
+fn predictions_of_bdd100k_without_scores_are_refused() {
+    let labels_for_predictions = bdd100k(NO_LABELS, Some(OLD_SPELLING), Rules::Paper);
     assert_refused(labels_for_predictions, &["has no `score`"]);
+}
+
+#[test]
+fn a_frame_of_bdd100k_that_occurs_twice_is_refused() {
     let twice = OLD_SPELLING.replace("\"index\": 2", "\"index\": 0");
-    let repeated = bdd100k(Some(&twice), None, Rules::Paper);
+    let repeated = bdd100k(Some(&twice), NO_PREDICTIONS, Rules::Paper);
     assert_refused(repeated, &["occurs twice"]);
 }
 
@@ -216,23 +279,33 @@ fn labels_without_videos_are_divided_by_the_names_of_their_pictures() {
     assert_eq!(read("other.json"), [("other".to_owned(), 3)]);
 }
 
+/// COCO's labels of two pictures in a folder, with a crowd, an ignored object, another class and an inverted box.
+const COCO_SET: &str = r#"{"images": [
+    {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
+    {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
+    "categories": [{"id": 3, "name": "car"}, {"id": 9, "name": "boat"}],
+    "annotations": [
+    {"id": 1, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 0, "track_id": 8},
+    {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+    {"id": 5, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "ignore": true},
+    {"id": 6, "image_id": 5, "category_id": 9, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+    {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
+    {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
+
+/// A result on one of these pictures.
+const COCO_RESULTS: &str =
+    r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
+
+/// Reads [`COCO_SET`] with these results.
+fn coco_set(results: &str) -> Result<DataSet, EvalError> {
+    let files = folder(&[("set.json", COCO_SET), ("results.json", results)]);
+    let found = files.path().join("results.json");
+    coco::read(&files.path().join("set.json"), Some(&found))
+}
+
 #[test]
-fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
-    let set = r#"{"images": [
-        {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
-        {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
-        "categories": [{"id": 3, "name": "car"}, {"id": 9, "name": "boat"}],
-        "annotations": [
-        {"id": 1, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 0, "track_id": 8},
-        {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
-        {"id": 5, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "ignore": true},
-        {"id": 6, "image_id": 5, "category_id": 9, "bbox": [1, 2, 10, 20], "iscrowd": 1},
-        {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
-        {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
-    let found = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
-    let files = folder(&[("set.json", set), ("results.json", found)]);
-    let [set, results] = ["set.json", "results.json"].map(|name| files.path().join(name));
-    let data = coco::read(&set, Some(&results)).unwrap();
+fn coco_groups_images_into_clips_in_order_of_their_names() {
+    let data = coco_set(COCO_RESULTS).unwrap();
     let clip = &data.clips[0];
     assert_eq!(clip.name, "v");
     assert_eq!(clip.frames, 2);
@@ -241,14 +314,28 @@ fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
     assert_eq!(truth[1][0].corners.x2, 11.0);
     assert!(truth[0].is_empty());
     assert_eq!(clip.detections.as_ref().unwrap()[0].len(), 1);
+}
+
+#[test]
+fn coco_marks_crowds_and_ignored_objects_of_its_classes() {
+    let data = coco_set(COCO_RESULTS).unwrap();
+    let clip = &data.clips[0];
     let marks: Vec<_> =
         clip.ignored[1].iter().map(|ignored| (ignored.mark, ignored.class)).collect();
     let car = Some(CAR);
     assert_eq!(marks, [(Mark::Crowd, car), (Mark::Object, car)]);
-    assert_eq!(data.report.left_out[&LeftOut::IgnoredRegion].0, 2);
-    assert_eq!(data.report.left_out[&LeftOut::EmptyBox].0, 1);
-    assert_eq!(data.report.unmapped_classes["boat"], 2);
-    let lost = found.replace("\"image_id\": 4", "\"image_id\": 77");
-    std::fs::write(&results, lost).unwrap();
-    assert_refused(coco::read(&set, Some(&results)), &["image 77"]);
+    assert_eq!(left_out(&data.report, LeftOut::IgnoredRegion), 2);
+}
+
+#[test]
+fn inverted_boxes_and_other_classes_of_coco_are_counted() {
+    let report = coco_set(COCO_RESULTS).unwrap().report;
+    assert_eq!(left_out(&report, LeftOut::EmptyBox), 1);
+    assert_eq!(report.unmapped_classes["boat"], 2);
+}
+
+#[test]
+fn a_result_of_coco_on_an_image_that_is_not_listed_is_refused() {
+    let lost = COCO_RESULTS.replace("\"image_id\": 4", "\"image_id\": 77");
+    assert_refused(coco_set(&lost), &["image 77"]);
 }

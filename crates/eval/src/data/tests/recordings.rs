@@ -1,7 +1,7 @@
 //! Recorded detections are read and written back, and a broken file is named.
 
 use super::super::*;
-use super::{assert_refused, folder};
+use super::{assert_refused, folder, left_out};
 use crate::data::classes::CAR;
 
 // Recordings describe their classes for people, too; only `class_names` is read.
@@ -9,6 +9,7 @@ const INDEX: &str = r#"{"classes": {"2": "car"},
     "sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
+const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark\n";
 
 /// What a recording lacks that has no file of detections, or none of ground truth.
 const NO_FILE: Option<&str> = None;
@@ -25,8 +26,8 @@ fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Data
     recorded::read(folder(&files).path())
 }
 
-#[test]
-fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_written_back() {
+/// A recording with detections, ground truth and an ignored region.
+fn whole_recording() -> DataSet {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
     let truth = format!("{TRUTH_HEADER}1,0,0,5,5,2,7\n");
     let files = folder(&[
@@ -35,7 +36,12 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
         ("groundtruth/a.csv", &truth),
         ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
     ]);
-    let read = recorded::read(files.path()).unwrap();
+    recorded::read(files.path()).unwrap()
+}
+
+#[test]
+fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame() {
+    let read = whole_recording();
     assert_eq!(read.report, LoadReport::default());
     let clip = &read.clips[0];
     let detections = clip.detections.as_ref().unwrap();
@@ -47,10 +53,15 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!(regions, [0, 1, 0]);
     assert_eq!(clip.ignored[1][0].corners.y2, 20.5);
+}
+
+#[test]
+fn a_recording_that_is_written_and_read_again_is_the_same_to_the_last_bit() {
+    let read = whole_recording();
     let copy = tempfile::tempdir().unwrap();
     recorded::write(copy.path(), &read.clips).unwrap();
     let again = recorded::read(copy.path()).unwrap();
-    assert_eq!(again.clips, read.clips, "to the last bit");
+    assert_eq!(again.clips, read.clips);
 }
 
 #[test]
@@ -96,10 +107,34 @@ fn every_mark_of_a_recording_is_written_and_read_back() {
     let folder = tempfile::tempdir().unwrap();
     recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     assert_eq!(recorded::read(folder.path()).unwrap().clips, [clip]);
-    let file = folder.path().join("ignore/a.csv");
-    let text = std::fs::read_to_string(&file).unwrap().replace("crowd", "cloud");
-    std::fs::write(file, text).unwrap();
-    assert_refused(recorded::read(folder.path()), &["a.csv:2: ", "`cloud`"]);
+}
+
+#[test]
+fn a_mark_that_is_no_rule_is_refused_by_name() {
+    let files = folder(&[
+        ("sequences.json", INDEX),
+        ("detections/a.csv", HEADER),
+        (
+            "ignore/a.csv",
+            &format!("{IGNORED_HEADER}0,0,0,50,20.5,2,cloud\n"),
+        ),
+    ]);
+    let parts = ["ignore/a.csv:2: ", "`cloud`"];
+    assert_refused(recorded::read(files.path()), &parts);
+}
+
+#[test]
+fn a_mark_for_a_class_that_cannot_be_is_refused() {
+    let files = folder(&[
+        ("sequences.json", INDEX),
+        ("detections/a.csv", HEADER),
+        (
+            "ignore/a.csv",
+            &format!("{IGNORED_HEADER}0,0,0,50,20.5,70000,region\n"),
+        ),
+    ]);
+    let parts = ["ignore/a.csv:2: ", "70000"];
+    assert_refused(recorded::read(files.path()), &parts);
 }
 
 #[test]
@@ -119,12 +154,20 @@ fn a_broken_row_is_named_with_file_and_line() {
 }
 
 #[test]
-fn a_file_that_is_missing_or_not_what_its_name_says_is_named() {
+fn missing_detections_are_named_with_their_file() {
     let parts = ["detections/a.csv", "needs its detections"];
     assert_refused(recorded(INDEX, NO_FILE, NO_FILE), &parts);
+}
+
+#[test]
+fn a_table_with_another_header_is_refused() {
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
     let header = "a.csv:1: the header is `frame,x`";
     assert_refused(recorded::read(files.path()), &[header]);
+}
+
+#[test]
+fn an_index_that_is_no_json_is_named_with_its_line() {
     let index = "{\n\"sequences\": [{]}";
     assert_refused(recorded(index, NO_ROWS, NO_FILE), &["sequences.json:2: "]);
 }
@@ -142,16 +185,15 @@ fn an_impossible_description_is_rejected() {
 }
 
 #[test]
-fn meaningless_rows_are_dropped_counted_and_named() {
+fn meaningless_rows_are_left_out_counted_and_named() {
     let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
     let data = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
     let report = &data.report;
-    let counted = |reason| report.left_out.get(&reason).map_or(0, |(count, _)| *count);
-    assert_eq!(counted(LeftOut::NotFinite), 2);
-    assert_eq!(counted(LeftOut::EmptyBox), 3);
-    assert_eq!(counted(LeftOut::OutsidePicture), 1);
-    assert_eq!(counted(LeftOut::ConfidenceRange), 1);
+    assert_eq!(left_out(report, LeftOut::NotFinite), 2);
+    assert_eq!(left_out(report, LeftOut::EmptyBox), 3);
+    assert_eq!(left_out(report, LeftOut::OutsidePicture), 1);
+    assert_eq!(left_out(report, LeftOut::ConfidenceRange), 1);
     assert_eq!(report.reaching_outside, 1);
     let kept = data.clips[0].detections.iter().flatten().flatten();
     assert_eq!(kept.count(), 1);
@@ -160,16 +202,27 @@ fn meaningless_rows_are_dropped_counted_and_named() {
 }
 
 #[test]
-fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
+fn a_clip_without_a_single_detection_is_noted() {
     let undetected = recorded(INDEX, NO_ROWS, Some("0,1,1,5,5,2,1\n")).unwrap();
-    let lines = undetected.report.lines().join("\n");
-    assert!(lines.contains("no detections"), "{lines}");
+    let notes = undetected.report.notes.join("\n");
+    assert!(notes.contains("no detections"), "{notes}");
+}
+
+#[test]
+fn a_clip_without_ground_truth_is_noted() {
     let unlabelled = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), NO_FILE).unwrap();
-    let lines = unlabelled.report.lines().join("\n");
-    assert!(lines.contains("no ground truth"), "{lines}");
-    // The index counts boxes.
+    let notes = unlabelled.report.notes.join("\n");
+    assert!(notes.contains("no ground truth"), "{notes}");
+}
+
+#[test]
+fn ground_truth_whose_boxes_the_index_counts_must_be_there() {
     let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
     assert_refused(recorded(&counted, NO_ROWS, NO_FILE), &["groundtruth/a.csv"]);
+}
+
+#[test]
+fn a_recording_of_an_empty_clip_is_refused_as_such() {
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
     assert_refused(recorded(&empty, NO_ROWS, NO_FILE), &["clip without frames"]);
 }

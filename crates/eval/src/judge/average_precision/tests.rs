@@ -30,6 +30,11 @@ fn four() -> Vec<Vec<ScoredBox>> {
     vec![[0.0, 20.0, 40.0, 60.0].map(|left| at(left, 1.0)).to_vec()]
 }
 
+/// Three predictions for the four boxes, ranked: hit, miss, hit.
+fn hit_miss_hit() -> Vec<Vec<ScoredBox>> {
+    vec![vec![at(0.0, 0.9), at(100.0, 0.8), at(20.0, 0.7)]]
+}
+
 pub(crate) fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Accuracy {
     let area = Interpolation::AllPoints;
     accuracy(predictions, truth, Classes::Pooled, area).expect("there is ground truth")
@@ -37,39 +42,61 @@ pub(crate) fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -
 
 #[test]
 fn a_hand_computed_curve_has_the_area_of_its_steps() {
-    // Ranked: hit, miss, hit; four boxes to find. Precision 1 at recall 1/4, 2/3 at recall 2/4.
-    let predictions = vec![vec![at(0.0, 0.9), at(100.0, 0.8), at(20.0, 0.7)]];
-    let result = pooled(&predictions, &four());
+    // Precision 1 at recall 1/4, 2/3 at recall 2/4.
+    let result = pooled(&hit_miss_hit(), &four());
     assert!((result.ap50 - (1.0 + 2.0 / 3.0) / 4.0).abs() < 1e-15);
     assert!((result.map - result.ap50).abs() < 1e-15);
-    assert!((result.precision - 2.0 / 3.0).abs() < 1e-15);
-    assert!((result.recall - 0.5).abs() < 1e-15);
-    // COCO's levels 0 to 0.25 see precision 1 (26 levels), 0.26 to 0.50 see 2/3 (25 levels).
+}
+
+#[test]
+fn at_cocos_recall_levels_a_hand_computed_curve_has_the_mean_of_its_precisions() {
+    // The levels 0 to 0.25 see precision 1 (26 levels), 0.26 to 0.50 see 2/3 (25 levels).
     let area = Interpolation::Coco101;
-    let coco = accuracy(&predictions, &four(), Classes::Pooled, area).unwrap();
+    let coco = accuracy(&hit_miss_hit(), &four(), Classes::Pooled, area).unwrap();
     assert!((coco.ap50 - (26.0 + 25.0 * 2.0 / 3.0) / 101.0).abs() < 1e-15);
 }
 
 #[test]
+fn precision_is_the_share_of_the_predictions_and_recall_that_of_the_ground_truth() {
+    let result = pooled(&hit_miss_hit(), &four());
+    assert!((result.precision - 2.0 / 3.0).abs() < 1e-15);
+    assert!((result.recall - 0.5).abs() < 1e-15);
+}
+
+/// F1 of the shown of three boxes, with four to find.
+fn f1_shown(boxes: [ScoredBox; 3]) -> f64 {
+    pooled(&[boxes.to_vec()], &four()).f1_50_shown
+}
+
+#[test]
 fn f1_of_shown_boxes_leaves_faint_ones_out_and_counts_those_at_the_floor() {
-    let f1 = |boxes: [ScoredBox; 3]| pooled(&[boxes.to_vec()], &four()).f1_50_shown;
     // Two shown and right, of four: 2·2 / (2 + 4).
-    let found = f1([at(0.0, 0.9), at(20.0, SHOWN_CONFIDENCE), at(40.0, 0.29)]);
-    assert!((found - 2.0 / 3.0).abs() < 1e-15);
-    assert_eq!(f1([at(0.0, 0.2), at(20.0, 0.1), at(40.0, 0.29)]), 0.0);
-    // A wrong one counts against it: 2·1 / (2 + 4).
-    let found = f1([at(0.0, 0.9), at(100.0, 0.4), at(20.0, 0.2)]);
+    let two_shown = f1_shown([at(0.0, 0.9), at(20.0, SHOWN_CONFIDENCE), at(40.0, 0.29)]);
+    assert!((two_shown - 2.0 / 3.0).abs() < 1e-15);
+    let none_shown = f1_shown([at(0.0, 0.2), at(20.0, 0.1), at(40.0, 0.29)]);
+    assert_eq!(none_shown, 0.0);
+}
+
+#[test]
+fn a_wrong_shown_box_lowers_f1() {
+    // One of two shown is right, of four: 2·1 / (2 + 4).
+    let found = f1_shown([at(0.0, 0.9), at(100.0, 0.4), at(20.0, 0.2)]);
     assert!((found - 1.0 / 3.0).abs() < 1e-15);
 }
 
 #[test]
-fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero() {
+fn without_ground_truth_accuracy_is_undefined() {
     let area = Interpolation::AllPoints;
     let nothing = accuracy(&[vec![at(0.0, 0.9)]], &[vec![]], Classes::Pooled, area);
     assert_eq!(nothing, None);
+}
+
+#[test]
+fn without_predictions_accuracy_is_zero_and_written_without_a_sign() {
     let result = pooled(&[], &[vec![at(0.0, 1.0)]]);
-    assert_eq!([result.ap50, result.precision, result.recall], [0.0; 3]);
-    // It is written as `0`.
+    assert_eq!(result.ap50, 0.0);
+    assert_eq!(result.precision, 0.0);
+    assert_eq!(result.recall, 0.0);
     assert!(result.ap50.is_sign_positive());
     assert!(result.map.is_sign_positive());
 }
@@ -97,11 +124,11 @@ fn slow_average_precision(
         is_hit: bool,
     }
     let mut ranked: Vec<Ranked> = Vec::new();
-    for (boxes, truth) in predictions.iter().zip(truth) {
-        let mut boxes = boxes.clone();
-        boxes.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
-        let mut free: Vec<Corners> = truth.iter().map(|truth| truth.corners).collect();
-        for found in boxes {
+    for (boxes, objects) in predictions.iter().zip(truth) {
+        let mut surest_first = boxes.clone();
+        surest_first.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+        let mut free: Vec<Corners> = objects.iter().map(|object| object.corners).collect();
+        for found in surest_first {
             let overlap = |index: usize| found.corners.intersection_over_union(free[index]);
             // `max_by` takes the last of equals, which in reverse is the first of the boxes.
             let best = (0..free.len()).rev().max_by(|a, b| overlap(*a).total_cmp(&overlap(*b)));
@@ -148,43 +175,52 @@ proptest! {
         prop_assume!(truths.iter().any(|frame| !frame.is_empty()));
         let fast = pooled(&predictions, &truths);
         let slow = IOU_THRESHOLDS.map(|t| slow_average_precision(&predictions, &truths, t));
-        prop_assert!((fast.ap50 - slow[0]).abs() < 1e-12);
+        prop_assert!((fast.ap50 - slow[AT_50]).abs() < 1e-12);
         prop_assert!((fast.map - slow.iter().sum::<f64>() / 10.0).abs() < 1e-12);
     }
 }
 
-/// `count` boxes, 20 per frame, each predicted slightly off its place.
+/// Predictions and ground truth of `count` boxes, 20 per frame, each predicted slightly off its place.
 fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>) {
-    let frame = |frame: usize| -> (Vec<ScoredBox>, Vec<ScoredBox>) {
-        let boxes = (0..20).map(|index| {
+    let mut predictions = Vec::new();
+    let mut truth = Vec::new();
+    for frame in 0..count / 20 {
+        let mut found = Vec::new();
+        let mut objects = Vec::new();
+        for index in 0..20 {
             let x = ((frame * 37 + index * 61) % 1200) as f64;
             let y = ((frame + index * 97) % 640) as f64;
             let off_by = ((frame + index) % 40) as f64;
             let confidence = ((frame * 7 + index) % 101) as f64 / 101.0;
-            let predicted = scored(square(x + off_by, y, 80.0), confidence);
-            (predicted, scored(square(x, y, 80.0), 1.0))
-        });
-        boxes.unzip()
-    };
-    (0..count / 20).map(frame).unzip()
+            found.push(scored(square(x + off_by, y, 80.0), confidence));
+            objects.push(scored(square(x, y, 80.0), 1.0));
+        }
+        predictions.push(found);
+        truth.push(objects);
+    }
+    (predictions, truth)
 }
 
-/// Apart from sorting, the work is in the compared pairs.
+/// Matches `count` boxes, and counts the pairs that are compared: apart from sorting, the work is in them.
+fn compared_pairs(count: usize) -> usize {
+    let (predictions, truth) = spread_over_frames(count);
+    let any_class = None;
+    let matching = Matching::new(&predictions, (&truth).into(), any_class);
+    assert_eq!(matching.outcomes.len(), count);
+    assert_eq!(matching.truths, count);
+    // Most are near enough to their place, and not all.
+    let hits = matching.hits();
+    assert!(hits * 2 > count && hits < count, "{hits} of {count}");
+    matching.compared
+}
+
 #[test]
 fn a_million_boxes_need_a_linear_number_of_comparisons() {
-    let compared = [10_000, 100_000, 1_000_000].map(|count| {
-        let (predictions, truth) = spread_over_frames(count);
-        let any_class = None;
-        let matching = Matching::new(&predictions, (&truth).into(), any_class);
-        assert_eq!(matching.outcomes.len(), count);
-        assert_eq!(matching.truths, count);
-        // Most are near enough to their place, and not all.
-        let hits = matching.hits();
-        assert!(hits * 2 > count && hits < count, "{hits} of {count}");
-        matching.compared
-    });
-    assert!(compared[1] < 11 * compared[0], "{compared:?}");
-    assert!(compared[2] < 11 * compared[1], "{compared:?}");
+    let few = compared_pairs(10_000);
+    let more = compared_pairs(100_000);
+    let most = compared_pairs(1_000_000);
+    assert!(more < 11 * few, "{more} after {few}");
+    assert!(most < 11 * more, "{most} after {more}");
     // Boxes beside each other are not compared: far fewer than the 20 of a frame.
-    assert!(compared[2] < 5 * 1_000_000, "{compared:?}");
+    assert!(most < 5 * 1_000_000, "{most}");
 }

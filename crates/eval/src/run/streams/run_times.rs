@@ -78,32 +78,55 @@ impl RunTimes {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_number_or_a_file_of_measured_runs_is_read_and_used_in_turn() {
-        let always = RunTimes::read("113").unwrap();
-        assert_eq!([0, 7].map(|run| always.seconds_of(run)), [0.113; 2]);
-        assert_eq!(always.describe(), "113 ms");
+    /// Reads the times of a file with this content.
+    fn read_file(content: &str) -> Result<RunTimes, String> {
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), "20\n100.5\n\n40\n").unwrap();
-        let measured = RunTimes::read(file.path().to_str().unwrap()).unwrap();
+        std::fs::write(file.path(), content).unwrap();
+        RunTimes::read(file.path().to_str().unwrap())
+    }
+
+    #[test]
+    fn a_number_is_the_time_of_every_run() {
+        let always = RunTimes::read("113").unwrap();
+        assert_eq!(always.seconds_of(0), 0.113);
+        assert_eq!(always.seconds_of(7), 0.113);
+        assert_eq!(always.describe(), "113 ms");
+    }
+
+    #[test]
+    fn the_measured_runs_of_a_file_are_used_in_turn() {
+        let measured = read_file("20\n100.5\n\n40\n").unwrap();
         let runs: Vec<_> = (0..4).map(|run| measured.seconds_of(run)).collect();
         assert_eq!(runs, [0.02, 0.1005, 0.04, 0.02]);
+    }
+
+    #[test]
+    fn measured_runs_are_described_by_their_range_and_median() {
+        let measured = read_file("20\n100.5\n\n40\n").unwrap();
         let described = "20 to 100 ms (3 measured runs, median 40)";
         assert_eq!(measured.describe(), described);
     }
 
     #[test]
-    fn an_impossible_time_is_rejected_with_its_line() {
+    fn an_impossible_time_is_rejected() {
         for wrong in ["0", "-3", "60001", "nan", "inf"] {
             assert!(RunTimes::read(wrong).is_err(), "{wrong}");
         }
-        let file = tempfile::NamedTempFile::new().unwrap();
-        let path = file.path().to_str().unwrap();
-        std::fs::write(path, "20\nfast\n").unwrap();
-        let reason = RunTimes::read(path).unwrap_err();
+    }
+
+    #[test]
+    fn a_line_that_is_no_time_is_named_with_its_number() {
+        let reason = read_file("20\nfast\n").unwrap_err();
         assert!(reason.contains("line 2: \"fast\""), "{reason}");
-        std::fs::write(path, "\n").unwrap();
-        assert!(RunTimes::read(path).is_err());
+    }
+
+    #[test]
+    fn a_file_without_numbers_is_rejected() {
+        assert!(read_file("\n").is_err());
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_rejected() {
         assert!(RunTimes::read("no such file").is_err());
     }
 }

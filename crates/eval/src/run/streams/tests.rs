@@ -89,7 +89,11 @@ fn a_policy_that_answers_at_once_shows_the_car_in_place() {
     }
     // Every second frame finds the detector free.
     assert_eq!(at_once.calls, 20);
-    // Without prediction the car is where it was two frames earlier.
+}
+
+#[test]
+fn a_policy_that_waits_for_the_detector_shows_the_car_where_it_was_two_frames_earlier() {
+    let clip = drive_by(40, 6.0);
     let waiting = published(&clip, "vanilla", at_arrival("113"));
     assert_eq!(left_edges(&waiting)[30], 100 + 6 * 28);
 }
@@ -120,11 +124,17 @@ fn settled_boxes_between_two_detector_calls_lie_between_theirs() {
     assert!(skipping.delay >= between_calls, "{}", skipping.delay);
 }
 
-#[test]
-fn the_table_compares_with_vanilla() {
+/// The table of a policy and vanilla over two clips.
+fn table_of_two_clips() -> String {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
-    let table = run(&clips, &specs, &Settings::default(), at_arrival("113")).unwrap().table();
+    let results = run(&clips, &specs, &Settings::default(), at_arrival("113")).unwrap();
+    results.table()
+}
+
+#[test]
+fn the_table_compares_with_vanilla() {
+    let table = table_of_two_clips();
     let is_of_policy = |line: &&str| line.starts_with("expected-loss-0");
     let rows: Vec<&str> = table.lines().filter(is_of_policy).collect();
     // One row in the table of figures, one in that of the differences.
@@ -133,6 +143,11 @@ fn the_table_compares_with_vanilla() {
     };
     assert!(figures.contains(" 50.0 "), "{table}");
     assert!(difference.contains(" +"), "{table}");
+}
+
+#[test]
+fn the_table_is_at_most_80_columns_wide() {
+    let table = table_of_two_clips();
     assert!(table.lines().all(|line| line.len() <= 80), "{table}");
 }
 

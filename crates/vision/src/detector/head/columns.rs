@@ -75,10 +75,12 @@ impl FromStr for ColumnList {
             };
             let mut columns = Vec::new();
             for name in names.split_whitespace() {
-                let column = Column::named(name).ok_or_else(|| {
-                    let known = COLUMNS.map(|(_, name)| name).join(" ");
-                    format!("`{name}` in the columns `{text}` is none of {known}")
-                })?;
+                let Some(column) = Column::named(name) else {
+                    let known = COLUMNS.map(|(_, known)| known).join(" ");
+                    return Err(format!(
+                        "`{name}` in the columns `{text}` is none of {known}"
+                    ));
+                };
                 columns.push(column);
                 if column != Column::Skipped {
                     is_named_twice |= seen.contains(&column);
@@ -173,7 +175,7 @@ struct Finished {
     size: PictureSize,
     outputs: Vec<ReadOutput>,
     batch: Option<ColumnPlace>,
-    /// Left or centre, and right or width: the columns and what they mean.
+    /// Left or centre, and right or width: what each column means, and where it is.
     across: [(Column, ColumnPlace); 2],
     down: [(Column, ColumnPlace); 2],
     score: ColumnPlace,
@@ -188,7 +190,8 @@ pub(super) fn bind(
 ) -> Result<Bound, String> {
     let mut outputs = Vec::new();
     let mut places = Vec::new();
-    let mut rows = None;
+    // -1 until an output tells their number.
+    let mut rows = -1;
     for part in &list.0 {
         let (index, spec) = match &part.output {
             Some(name) => signature.output(name)?,
@@ -202,11 +205,10 @@ pub(super) fn bind(
         }
         let length = part.columns.len();
         let these = rows_of(spec, length)?;
-        if rows.is_some_and(|rows| rows != -1 && these != -1 && rows != these) {
+        if rows == -1 {
+            rows = these;
+        } else if these != -1 && these != rows {
             return Err("its outputs have different numbers of rows".to_owned());
-        }
-        if rows.is_none_or(|rows| rows == -1) {
-            rows = Some(these);
         }
         let output = outputs.len();
         for (in_row, column) in part.columns.iter().enumerate() {
@@ -219,6 +221,7 @@ pub(super) fn bind(
         });
     }
     let find = |wanted: Column| places.iter().find(|(column, _)| *column == wanted).copied();
+    let place_of = |wanted: Column| find(wanted).map(|(_, place)| place);
     let two_of = |options: EndColumns| {
         let mut found = options.into_iter().filter_map(find);
         Some([found.next()?, found.next()?])
@@ -227,11 +230,11 @@ pub(super) fn bind(
     let incomplete = || "its columns are incomplete".to_owned();
     let finished = Finished {
         size,
-        batch: find(Column::Batch).map(|(_, place)| place),
+        batch: place_of(Column::Batch),
         across: two_of(ACROSS).ok_or_else(incomplete)?,
         down: two_of(DOWN).ok_or_else(incomplete)?,
-        score: find(Column::Score).ok_or_else(incomplete)?.1,
-        class: find(Column::Class).map(|(_, place)| place),
+        score: place_of(Column::Score).ok_or_else(incomplete)?,
+        class: place_of(Column::Class),
         outputs,
     };
     Ok(Bound {
@@ -241,7 +244,7 @@ pub(super) fn bind(
         } else {
             None
         },
-        overlaps: rows.is_some_and(|rows| rows > MOST_BOXES),
+        overlaps: rows > MOST_BOXES,
         reader: Box::new(finished),
     })
 }
@@ -262,12 +265,16 @@ fn rows_of(spec: &TensorSpec, length: usize) -> Result<i64, String> {
     }
 }
 
-/// The numbers of an output, and the length of its rows.
-type Numbers<'a> = (&'a [f32], usize);
+/// The numbers of one run.
+struct Numbers<'a> {
+    /// Those of each output that is read.
+    outputs: Vec<&'a [f32]>,
+    /// The number of rows, which is the same in all of them.
+    rows: usize,
+}
 
 impl Finished {
-    /// The numbers of all outputs that are read, each with the length of its rows, and the number of rows.
-    fn numbers<'a>(&self, outputs: &[TensorView<'a>]) -> Result<(Vec<Numbers<'a>>, usize), String> {
+    fn numbers<'a>(&self, outputs: &[TensorView<'a>]) -> Result<Numbers<'a>, String> {
         let mut numbers = Vec::with_capacity(self.outputs.len());
         let mut rows = None;
         for read in &self.outputs {
@@ -285,9 +292,12 @@ impl Finished {
                 return Err("the model returned outputs with different numbers of rows".to_owned());
             }
             rows = Some(these);
-            numbers.push((values, read.length));
+            numbers.push(values);
         }
-        Ok((numbers, rows.unwrap_or_default()))
+        Ok(Numbers {
+            outputs: numbers,
+            rows: rows.unwrap_or_default(),
+        })
     }
 
     /// The left and the right side, or the upper and the lower one, of a row.
@@ -295,15 +305,16 @@ impl Finished {
         columns: &[(Column, ColumnPlace); 2],
         number: impl Fn(ColumnPlace) -> f32,
     ) -> (f64, f64) {
-        let [(first, start), (second, end)] = columns;
-        let start = f64::from(number(*start));
-        let end = f64::from(number(*end));
+        let [(first, first_place), (last, last_place)] = *columns;
+        let first_number = f64::from(number(first_place));
+        let last_number = f64::from(number(last_place));
         if matches!(first, Column::CentreX | Column::CentreY) {
-            (start - end / 2.0, start + end / 2.0)
-        } else if matches!(second, Column::Width | Column::Height) {
-            (start, start + end)
+            let half = last_number / 2.0;
+            (first_number - half, first_number + half)
+        } else if matches!(last, Column::Width | Column::Height) {
+            (first_number, first_number + last_number)
         } else {
-            (start, end)
+            (first_number, last_number)
         }
     }
 
@@ -315,11 +326,11 @@ impl Finished {
         least: f64,
         mut each: impl FnMut(Corners, f32, Option<ClassId>),
     ) -> Result<(), String> {
-        let (numbers, rows) = self.numbers(outputs)?;
-        for row in 0..rows {
+        let numbers = self.numbers(outputs)?;
+        for row in 0..numbers.rows {
             let number = |place: ColumnPlace| {
-                let (values, length) = numbers[place.output];
-                values[row * length + place.in_row]
+                let length = self.outputs[place.output].length;
+                numbers.outputs[place.output][row * length + place.in_row]
             };
             let score = number(self.score);
             let batch = self.batch.map_or(0.0, number);
@@ -358,7 +369,8 @@ impl ReadOutputs for Finished {
         })?;
         let written_in = unit(largest, self.size);
         for (corners, score, class) in found {
-            rows.add(class.and_then(|class| candidate(written_in.pixels(corners), class, score)));
+            let in_pixels = written_in.pixels(corners);
+            rows.add(class.and_then(|class| candidate(in_pixels, class, score)));
         }
         Ok(())
     }

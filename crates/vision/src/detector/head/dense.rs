@@ -177,7 +177,7 @@ fn in_cell(
         }
         first += here;
     }
-    // There are as many anchors as cells.
+    // Not reached: there are as many anchors as cells.
     around([f64::NAN; 4])
 }
 
@@ -260,7 +260,10 @@ impl ReadOutputs for Dense {
             return against("its boxes are in pixels, and not from 0 to 1");
         }
         // Logarithms of sides shorter than a cell are negative, and sides never are.
-        let is_negative = |anchor: &Anchor<'_>| anchor.sides[2] < -1e-3 || anchor.sides[3] < -1e-3;
+        let is_negative = |anchor: &Anchor<'_>| {
+            let [_, _, right_or_width, lower_or_height] = anchor.sides;
+            right_or_width < -1e-3 || lower_or_height < -1e-3
+        };
         let total = anchors.boxes.len() / anchors.box_row;
         // One in ten: a few are faults.
         let are_many = 10 * anchors.rows().filter(is_negative).count() > total;

@@ -37,16 +37,18 @@ pub(super) fn bind(
     let is_there = |[boxes, logits]: &&[&str; 2]| {
         signature.output(boxes).is_ok() && signature.output(logits).is_ok()
     };
-    let [boxes, logits] = names.iter().find(is_there).ok_or("it has no such outputs")?;
-    let (boxes, dets) = signature.output(boxes)?;
-    let (logits, labels) = signature.output(logits)?;
-    let sides = |output: &TensorSpec| match *output.shape.as_slice() {
+    let [name_of_boxes, name_of_logits] =
+        names.iter().find(is_there).ok_or("it has no such outputs")?;
+    let (boxes, of_boxes) = signature.output(name_of_boxes)?;
+    let (logits, of_logits) = signature.output(name_of_logits)?;
+    // The number of queries, and of the numbers for each.
+    let rows = |output: &TensorSpec| match *output.shape.as_slice() {
         [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
         _ => None,
     };
-    dets.float()?;
-    labels.float()?;
-    match (sides(dets), sides(labels)) {
+    of_boxes.float()?;
+    of_logits.float()?;
+    match (rows(of_boxes), rows(of_logits)) {
         (Some((queries, 4)), Some((same, classes)))
             if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
         {
@@ -76,11 +78,11 @@ impl ReadOutputs for Detr {
                 outputs.len()
             ));
         };
-        let boxes = elements(boxes, &[1, self.queries, 4])?;
-        let queries = boxes.len() / 4;
+        let (boxes, _) = elements(boxes, &[1, self.queries, 4])?.as_chunks::<4>();
+        let queries = boxes.len();
         let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
-        let width = f64::from(self.size.width);
-        let height = f64::from(self.size.height);
+        let input_width = f64::from(self.size.width);
+        let input_height = f64::from(self.size.height);
         // Some exports end with the sigmoid. Logits of a real run are mostly negative.
         let are_probabilities = logits.iter().all(|&number| (0.0..=1.0).contains(&number));
         let least = if are_probabilities {
@@ -96,23 +98,24 @@ impl ReadOutputs for Detr {
             }
         };
         let mut found = Vec::new();
-        for (sides, logits) in boxes.chunks_exact(4).zip(logits.chunks_exact(self.classes)) {
+        for (sides, numbers) in boxes.iter().zip(logits.chunks_exact(self.classes)) {
             let before = found.len();
+            let [x, y, width, height] = sides.map(f64::from);
             let corners = around([
-                f64::from(sides[0]) * width,
-                f64::from(sides[1]) * height,
-                f64::from(sides[2]) * width,
-                f64::from(sides[3]) * height,
+                x * input_width,
+                y * input_height,
+                width * input_width,
+                height * input_height,
             ]);
             let mut is_sound = true;
-            for (class, &logit) in logits.iter().enumerate() {
-                if f64::from(logit) >= least {
-                    match candidate(corners, ClassId(class as u16), probability(logit)) {
+            for (class, &number) in numbers.iter().enumerate() {
+                if f64::from(number) >= least {
+                    match candidate(corners, ClassId(class as u16), probability(number)) {
                         Some(candidate) => found.push(candidate),
                         None => is_sound = false,
                     }
                 }
-                is_sound &= !logit.is_nan();
+                is_sound &= !number.is_nan();
             }
             // A query is taken whole or not at all.
             if !is_sound {

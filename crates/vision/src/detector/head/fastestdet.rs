@@ -18,26 +18,24 @@ struct FastestDet {
 }
 
 pub(super) fn bind(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
-    let width = size.width / STRIDE;
-    let height = size.height / STRIDE;
-    match *signature.only_output()?.shape.as_slice() {
-        [1 | -1, channels, rows, columns]
-            if count(channels) > BEFORE_CLASSES
-                && count(channels) - BEFORE_CLASSES <= usize::from(u16::MAX)
-                && [rows, columns] == [i64::from(height), i64::from(width)]
-                && rows * columns > 0 =>
-        {
-            let classes = count(channels) - BEFORE_CLASSES;
-            Ok(Bound {
-                classes: Some(classes),
-                overlaps: true,
-                reader: Box::new(FastestDet { size, classes }),
-            })
-        }
-        _ => Err(format!(
-            "its output has another shape than [1, 5 + classes, {height}, {width}]"
-        )),
+    let columns = i64::from(size.width / STRIDE);
+    let lines = i64::from(size.height / STRIDE);
+    let other_shape =
+        || format!("its output has another shape than [1, 5 + classes, {lines}, {columns}]");
+    let [1 | -1, channels, height, width] = *signature.only_output()?.shape.as_slice() else {
+        return Err(other_shape());
+    };
+    let classes = count(channels).saturating_sub(BEFORE_CLASSES);
+    let have_classes = (1..=usize::from(u16::MAX)).contains(&classes);
+    let are_cells = height == lines && width == columns && lines * columns > 0;
+    if !have_classes || !are_cells {
+        return Err(other_shape());
     }
+    Ok(Bound {
+        classes: Some(classes),
+        overlaps: true,
+        reader: Box::new(FastestDet { size, classes }),
+    })
 }
 
 impl ReadOutputs for FastestDet {
@@ -59,14 +57,15 @@ impl ReadOutputs for FastestDet {
             scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
             match best_class(&scores) {
                 Some((class, score)) if is_score(objectness) => {
-                    let number = |place: usize| f64::from(channel(place, cell));
+                    let [x, y, width, height] =
+                        [1, 2, 3, 4].map(|number| f64::from(channel(number, cell)));
                     let column = (cell % columns) as f64;
                     let line = (cell / columns) as f64;
                     let corners = around([
-                        (number(1).tanh() + column) / columns as f64 * f64::from(size.width),
-                        (number(2).tanh() + line) / lines as f64 * f64::from(size.height),
-                        sigmoid(number(3)) * f64::from(size.width),
-                        sigmoid(number(4)) * f64::from(size.height),
+                        (x.tanh() + column) / columns as f64 * f64::from(size.width),
+                        (y.tanh() + line) / lines as f64 * f64::from(size.height),
+                        sigmoid(width) * f64::from(size.width),
+                        sigmoid(height) * f64::from(size.height),
                     ]);
                     let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
                     rows.add(candidate(corners, class, score));

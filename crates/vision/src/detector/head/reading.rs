@@ -41,12 +41,12 @@ pub(super) struct Rows<'a> {
 /// that is much longer has been read wrong.
 const LARGEST_BOX: f64 = 4.0;
 
-/// The largest number of boxes in sides of the input.
+/// The largest number of a box that is written in sides of the input.
 const LARGEST_SIDE: f64 = 2.0;
 
 impl Rows<'_> {
-    /// Adds the candidate of a row if it is confident enough; `None` is a row to reject, as is a box much larger than the
-    /// input.
+    /// Adds the candidate of a row if it is confident enough. Counts a row without one as rejected, and one whose box is
+    /// much larger than the input.
     pub(super) fn add(&mut self, row: Option<Candidate>) {
         let fits = |candidate: &Candidate| {
             let Corners { x1, y1, x2, y2 } = candidate.corners;
@@ -94,7 +94,8 @@ pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<
 fn elements_of(shape: &[i64]) -> Option<usize> {
     let mut elements = 1_usize;
     for &side in shape {
-        elements = elements.checked_mul(usize::try_from(side).ok()?)?;
+        let side = usize::try_from(side).ok()?;
+        elements = elements.checked_mul(side)?;
     }
     Some(elements)
 }

@@ -55,10 +55,11 @@ pub fn recognise(
         let reason = known.as_deref().unwrap_or("it looks like none of the models that are read");
         return Err(refused(signature, input, reason));
     };
-    // How many numbers a head takes to be before the class scores decides how many classes it sees.
-    let known = names.unwrap_or(80);
-    if heads.iter().any(|head| head.fits_names(known)) {
-        heads.retain(|head| head.fits_names(known));
+    // Heads see different numbers of classes in rows of one length, as they take different numbers of them for the box.
+    // A model without names is likely to have the classes of COCO.
+    let names = names.unwrap_or(80);
+    if heads.iter().any(|head| head.fits_names(names)) {
+        heads.retain(|head| head.fits_names(names));
     }
     Ok(Recognised(heads))
 }
@@ -136,7 +137,8 @@ impl Recognised {
         let mut sure = Vec::new();
         let mut names = Vec::new();
         let mut against = Vec::new();
-        for head in &self.with_sizes_of(signature, input, outputs).0 {
+        let Recognised(heads) = self.with_sizes_of(signature, input, outputs);
+        for head in heads {
             match head.evidence(outputs, LEAST_SCORE) {
                 Evidence::Against(reason) => {
                     against.push(format!("no `{}`: {reason}", head.name.as_str()));
@@ -191,18 +193,17 @@ fn by_convention(signature: &Signature) -> Option<HeadName> {
 
 /// The whole refusal: the reason, and for each head the first difference.
 fn refused(signature: &Signature, input: PictureInput, reason: impl std::fmt::Display) -> String {
-    let heads: Vec<_> = FAMILIES
-        .iter()
-        .map(|family| {
-            let found = looks_like(family, signature, input)
-                .err()
-                .unwrap_or_else(|| "it could be".to_owned());
-            format!(
-                "    {}: {} ({found})",
-                family.name.as_str(),
-                family.looks_for
-            )
-        })
-        .collect();
+    let line = |family: &Family| {
+        let found = match looks_like(family, signature, input) {
+            Ok(_) => "it could be".to_owned(),
+            Err(difference) => difference,
+        };
+        format!(
+            "    {}: {} ({found})",
+            family.name.as_str(),
+            family.looks_for
+        )
+    };
+    let heads: Vec<_> = FAMILIES.iter().map(line).collect();
     format!("{reason}.\n  Looked for\n{}", heads.join("\n"))
 }

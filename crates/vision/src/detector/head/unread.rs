@@ -4,7 +4,7 @@ use crate::onnx::{Signature, TensorSpec};
 
 /// The reason why a model of a known kind is not read, with the way out; `None` if its kind is not known.
 pub(super) fn reason(signature: &Signature) -> Option<String> {
-    [
+    let kinds = [
         tensorflow,
         paddle,
         plug_in,
@@ -13,9 +13,8 @@ pub(super) fn reason(signature: &Signature) -> Option<String> {
         training_heads,
         segmentation,
         classifier,
-    ]
-    .into_iter()
-    .find_map(|kind| kind(signature))
+    ];
+    kinds.into_iter().find_map(|kind| kind(signature))
 }
 
 /// Models of the DETR family, whose names do not tell how they want their pictures.
@@ -94,7 +93,7 @@ fn plug_in(signature: &Signature) -> Option<String> {
     ))
 }
 
-/// Feature maps with three boxes per cell, or several of them.
+/// Feature maps that are not decoded: two or more with an axis for the boxes of a cell, or four outputs or more.
 fn training_heads(signature: &Signature) -> Option<String> {
     let is_map = |output: &TensorSpec| output.shape.len() == 5;
     if signature.outputs.iter().filter(|output| is_map(output)).count() >= 2 {

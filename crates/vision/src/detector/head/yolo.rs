@@ -54,16 +54,16 @@ impl ReadOutputs for Yolo {
                 best_of_block(by_class, is_score)
             };
             for place in 0..length {
+                if !sound[place] {
+                    rows.add(None);
+                    continue;
+                }
                 let (highest, class) = best[place];
                 let score = if has_logits {
                     sigmoid(highest)
                 } else {
                     highest
                 };
-                if !sound[place] {
-                    rows.add(None);
-                    continue;
-                }
                 if f64::from(score) < rows.confidence {
                     continue;
                 }
@@ -86,7 +86,8 @@ fn best_of_block<'a>(
     for (class, scores) in by_class.enumerate() {
         for ((best, sound), &score) in best.iter_mut().zip(&mut sound).zip(scores) {
             *sound &= is_sound(score);
-            if score > best.0 {
+            let (highest, _) = *best;
+            if score > highest {
                 *best = (score, class as u16);
             }
         }

@@ -130,32 +130,42 @@ mod tests {
         }
     }
 
+    /// The choice after so many pictures with a box at both sizes, with a box at one size, and without a box.
+    fn after(agreeing: u32, differing: u32, empty: u32) -> Choice {
+        let car = [found(0.5, 2, 0.9)];
+        let mut agreement = Agreement::default();
+        for (count, one, other) in [
+            (agreeing, &car[..], &car[..]),
+            (differing, &car, &[]),
+            (empty, &[], &[]),
+        ] {
+            for _ in 0..count {
+                agreement = agreement.plus(Agreement::of(one, other, 0.5));
+            }
+        }
+        agreement.decided()
+    }
+
     #[test]
     fn the_smaller_input_is_used_after_ten_occupied_pictures_that_agree_or_a_hundred_empty_ones() {
-        let car = [found(0.5, 2, 0.9)];
-        let after = |agreeing: u32, differing: u32, empty: u32| {
-            let mut agreement = Agreement::default();
-            for (count, one, other) in [
-                (agreeing, &car[..], &car[..]),
-                (differing, &car, &[]),
-                (empty, &[], &[]),
-            ] {
-                for _ in 0..count {
-                    agreement = agreement.plus(Agreement::of(one, other, 0.5));
-                }
-            }
-            agreement.decided()
-        };
         for (agreeing, differing, empty) in
             [(10, 0, 0), (10, 0, 50), (9, 1, 0), (0, 0, 100), (3, 0, 97)]
         {
             let choice = after(agreeing, differing, empty);
             assert!(matches!(choice, Choice::Smallest(_)), "{choice:?}");
         }
+    }
+
+    #[test]
+    fn fewer_pictures_decide_nothing_whether_they_agree_or_not() {
         for (agreeing, differing, empty) in [(0, 0, 0), (9, 0, 50), (0, 9, 0), (0, 0, 99)] {
             let choice = after(agreeing, differing, empty);
             assert!(matches!(choice, Choice::Comparing(_)), "{choice:?}");
         }
+    }
+
+    #[test]
+    fn the_largest_input_stays_if_many_boxes_differ() {
         for (agreeing, differing, empty) in [(5, 5, 0), (0, 10, 0), (0, 1, 99)] {
             let choice = after(agreeing, differing, empty);
             assert!(matches!(choice, Choice::Largest(_)), "{choice:?}");

@@ -27,21 +27,24 @@ fn decoded(
 #[test]
 fn scaled_pictures_are_never_smaller_than_required() {
     let source = PictureSize::new(1280, 720);
+    let size = PictureSize::new;
     for (target, expected) in [
-        ([640, 360], Some([640, 360])),
-        ([641, 360], None),
-        ([640, 361], None),
-        ([416, 234], Some([640, 360])),
-        ([320, 180], Some([320, 180])),
-        ([64, 36], Some([160, 90])),
-        ([1280, 720], None),
-        ([4000, 10], None),
+        (size(640, 360), Some(size(640, 360))),
+        (size(641, 360), None),
+        (size(640, 361), None),
+        (size(416, 234), Some(size(640, 360))),
+        (size(320, 180), Some(size(320, 180))),
+        (size(64, 36), Some(size(160, 90))),
+        (size(1280, 720), None),
+        (size(4000, 10), None),
     ] {
-        let scale = Scale::towards(PictureSize::new(target[0], target[1]), source);
-        let size = scale.map(|scale| [scale.size.width, scale.size.height]);
-        assert_eq!(size, expected, "{target:?}");
+        let scale = Scale::towards(target, source);
+        assert_eq!(scale.map(|scale| scale.size), expected, "{target:?}");
     }
-    // Sides that do not divide are rounded up.
+}
+
+#[test]
+fn sides_that_do_not_divide_are_rounded_up() {
     let odd = Scale::towards(PictureSize::new(300, 100), PictureSize::new(641, 359)).unwrap();
     assert_eq!(odd.size, PictureSize::new(321, 180));
 }
@@ -59,14 +62,17 @@ fn scaled_decoding_gives_the_mean_of_the_covered_pixels() {
         let at = |x: usize, y: usize, channel| {
             f64::from(full.pixels[(y * full.size.width as usize + x) * channels + channel])
         };
-        let off = half.pixels.iter().enumerate().map(|(index, &value)| {
-            let (pixel, channel) = (index / channels, index % channels);
-            let (x, y) = (2 * (pixel % 321), 2 * (pixel / 321));
+        let mut off = 0.0;
+        for (index, &value) in half.pixels.iter().enumerate() {
+            let channel = index % channels;
+            let pixel = index / channels;
+            let x = 2 * (pixel % 321);
+            let y = 2 * (pixel / 321);
             let covered = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
             let sum: f64 = covered.iter().map(|&(x, y)| at(x, y, channel)).sum();
-            (f64::from(value) - sum / 4.0).abs()
-        });
-        let mean = off.sum::<f64>() / half.pixels.len() as f64;
+            off += (f64::from(value) - sum / 4.0).abs();
+        }
+        let mean = off / half.pixels.len() as f64;
         // Less if there is no chroma to scale.
         assert!(mean < 2.0, "{layout:?}: {mean} grey levels");
     }

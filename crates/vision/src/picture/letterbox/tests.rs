@@ -31,8 +31,8 @@ fn reference(picture: &Picture, channel: usize, column: u32, row: u32, to: Pictu
         let y = y.clamp(0.0, f64::from(picture.size.height - 1)) as usize;
         f64::from(picture.pixels[(y * picture.size.width as usize + x) * 3 + channel])
     };
-    let source = |position: u32, from: u32, to: u32| {
-        (f64::from(position) + 0.5) * f64::from(from) / f64::from(to) - 0.5
+    let source = |position: u32, source_side: u32, scaled_side: u32| {
+        (f64::from(position) + 0.5) * f64::from(source_side) / f64::from(scaled_side) - 0.5
     };
     let x = source(column, picture.size.width, to.width);
     let y = source(row, picture.size.height, to.height);
@@ -106,18 +106,21 @@ fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) 
 
 #[test]
 fn each_fit_puts_a_picture_scaled_by_bilinear_interpolation_in_its_place() {
-    let (corner, centre) = (Fit::TopLeft, Fit::Centre);
-    for (source, input, fit, top, used) in [
-        ((72, 58), (42, 42), corner, 0, (42, 33)),
-        ((30, 90), (64, 64), corner, 0, (21, 64)),
-        ((19, 11), (96, 64), corner, 0, (96, 55)),
-        ((64, 64), (64, 64), corner, 0, (64, 64)),
-        ((40, 21), (32, 32), centre, 7, (32, 17)),
+    for ((width, height), (columns, rows), fit, top, (used_columns, used_rows)) in [
+        ((72, 58), (42, 42), Fit::TopLeft, 0, (42, 33)),
+        ((30, 90), (64, 64), Fit::TopLeft, 0, (21, 64)),
+        ((19, 11), (96, 64), Fit::TopLeft, 0, (96, 55)),
+        ((64, 64), (64, 64), Fit::TopLeft, 0, (64, 64)),
+        ((40, 21), (32, 32), Fit::Centre, 7, (32, 17)),
         ((40, 21), (32, 24), Fit::Stretch, 0, (32, 24)),
     ] {
-        let picture = picture(source.0, source.1);
-        let used = PictureSize::new(used.0, used.1);
-        compare(&picture, format(input.0, input.1, fit), top, used);
+        let used = PictureSize::new(used_columns, used_rows);
+        compare(
+            &picture(width, height),
+            format(columns, rows, fit),
+            top,
+            used,
+        );
     }
 }
 
@@ -222,30 +225,33 @@ fn the_padding_is_the_share_of_an_input_that_the_picture_does_not_cover() {
 }
 
 #[test]
-fn a_picture_of_any_shape_is_taken_unless_it_is_empty_too_short_or_grey() {
+fn a_picture_of_any_shape_is_taken() {
     for fit in FITS {
         let mut letterbox = Letterbox::new(format(32, 32, fit));
         for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
             letterbox.fill(&picture(width, height)).unwrap();
         }
-        let mut error_of = |picture: &Picture| letterbox.fill(picture).unwrap_err().to_string();
-        let error = error_of(&Picture::default());
-        assert!(error.contains("the picture is empty (0x0)"), "{error}");
-        let mut short = picture(8, 8);
-        short.pixels.pop();
-        let error = error_of(&short);
-        assert!(
-            error.contains("an RGB picture of 8x8 needs 192 bytes and has 191"),
-            "{error}"
-        );
-        let mut grey = picture(8, 8);
-        grey.layout = PixelLayout::Gray8;
-        grey.pixels = vec![7; 64];
-        let error = error_of(&grey);
-        assert!(
-            error.contains("an RGB picture of 8x8 needs 192 bytes and has 64"),
-            "{error}"
-        );
+    }
+}
+
+#[test]
+fn a_picture_that_is_empty_too_short_or_grey_is_refused_with_a_reason() {
+    let mut short = picture(8, 8);
+    short.pixels.pop();
+    let mut grey = picture(8, 8);
+    grey.layout = PixelLayout::Gray8;
+    grey.pixels = vec![7; 64];
+    let of_8x8 = "an RGB picture of 8x8 needs 192 bytes and has";
+    for (refused, reason) in [
+        (Picture::default(), "the picture is empty (0x0)".to_owned()),
+        (short, format!("{of_8x8} 191")),
+        (grey, format!("{of_8x8} 64")),
+    ] {
+        for fit in FITS {
+            let mut letterbox = Letterbox::new(format(32, 32, fit));
+            let error = letterbox.fill(&refused).unwrap_err().to_string();
+            assert!(error.contains(&reason), "{error}");
+        }
     }
 }
 
@@ -276,25 +282,38 @@ proptest! {
         x1 in 0.0..1.0_f64, y1 in 0.0..1.0_f64, w in 0.0..1.0_f64, h in 0.0..1.0_f64,
     ) {
         let (placement, mapping) = place_in_largest(PictureSize::new(width, height), format(columns, rows, fit));
-        prop_assert!(placement.left + placement.width <= columns);
-        prop_assert!(placement.top + placement.height <= rows);
-        let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
+        let across = f64::from(columns) / f64::from(width);
+        let down = f64::from(rows) / f64::from(height);
         let (scale_x, scale_y) = match fit {
-            Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),
-            Fit::TopLeft | Fit::Centre => (scale, scale),
+            Fit::Stretch => (across, down),
+            Fit::TopLeft | Fit::Centre => (across.min(down), across.min(down)),
         };
         let to_input = |x: f64, y: f64| (
             x * f64::from(width) * scale_x + f64::from(placement.left),
             y * f64::from(height) * scale_y + f64::from(placement.top),
         );
-        let (a, b) = to_input(x1, y1);
-        let (c, d) = to_input(x1 + w, y1 + h);
-        let back = mapping.to_source(Corners { x1: a, y1: b, x2: c, y2: d });
-        let found = [back.center_x, back.center_y, back.width, back.height];
-        for (found, expected) in found.into_iter().zip([x1 + w / 2.0, y1 + h / 2.0, w, h]) {
+        let (left, top) = to_input(x1, y1);
+        let (right, bottom) = to_input(x1 + w, y1 + h);
+        let back = mapping.to_source(Corners { x1: left, y1: top, x2: right, y2: bottom });
+        for (found, expected) in [
+            (back.center_x, x1 + w / 2.0),
+            (back.center_y, y1 + h / 2.0),
+            (back.width, w),
+            (back.height, h),
+        ] {
             prop_assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
         }
-        // The picture's edges in the input are within a pixel of where its pixels were placed.
+    }
+
+    #[test]
+    fn a_picture_is_placed_inside_the_input_and_at_most_a_pixel_off_the_size_of_its_mapping(
+        width in 1_u32..3000, height in 1_u32..3000,
+        columns in 1_u32..700, rows in 1_u32..700,
+        fit in prop::sample::select(FITS.to_vec()),
+    ) {
+        let (placement, mapping) = place_in_largest(PictureSize::new(width, height), format(columns, rows, fit));
+        prop_assert!(placement.left + placement.width <= columns);
+        prop_assert!(placement.top + placement.height <= rows);
         prop_assert!((f64::from(placement.width) - mapping.width).abs() <= 1.0 + 1e-9);
         prop_assert!((f64::from(placement.height) - mapping.height).abs() <= 1.0 + 1e-9);
     }

@@ -57,9 +57,10 @@ fn a_picture_is_turned_then_mirrored_then_cropped() {
 }
 
 /// The share of the sent picture at a share of the published one, as docs/messages.md says.
-fn back(mount: &Mount, [x, y]: [f64; 2]) -> [f64; 2] {
+fn back(mount: &Mount, [across, down]: [f64; 2]) -> [f64; 2] {
     let [left, top, right, bottom] = mount.crop.unwrap();
-    let (mut x, mut y) = (left + x * (right - left), top + y * (bottom - top));
+    let mut x = left + across * (right - left);
+    let mut y = top + down * (bottom - top);
     match mount.flip {
         Some(Flip::Horizontal) => x = 1.0 - x,
         Some(Flip::Vertical) => y = 1.0 - y,
@@ -92,8 +93,9 @@ proptest! {
         let (width, height) = (seen.size.width, seen.size.height);
         for (at, pixel) in (0_u32..).zip(&seen.pixels) {
             let middle = |at: u32, side: u32| (f64::from(at) + 0.5) / f64::from(side);
-            let [x, y] = back(&mount, [middle(at % width, width), middle(at / width, height)]);
-            let (x, y) = ((x * f64::from(columns)) as u32, (y * f64::from(rows)) as u32);
+            let [sent_across, sent_down] = back(&mount, [middle(at % width, width), middle(at / width, height)]);
+            let x = (sent_across * f64::from(columns)) as u32;
+            let y = (sent_down * f64::from(rows)) as u32;
             prop_assert_eq!(sent[(y * columns + x) as usize], *pixel);
         }
     }
@@ -135,11 +137,16 @@ fn jpeg_file() -> EncodedPicture {
 }
 
 #[test]
-fn a_jpeg_file_is_encoded_again_with_its_mask_and_passed_on_without_one() {
-    let limits = FrameLimits::default();
+fn a_jpeg_file_without_a_mask_is_passed_on_unchanged() {
     let sent = jpeg_file();
-    assert_eq!(to_jpeg(&sent, &limits).unwrap(), sent.bytes);
-    let hidden = mounted(sent, &masked(&[LOWER_HALF]));
+    let passed_on = to_jpeg(&sent, &FrameLimits::default()).unwrap();
+    assert_eq!(passed_on, sent.bytes);
+}
+
+#[test]
+fn a_jpeg_file_is_encoded_again_with_its_mask() {
+    let limits = FrameLimits::default();
+    let hidden = mounted(jpeg_file(), &masked(&[LOWER_HALF]));
     let encoded = to_jpeg(&hidden, &limits).unwrap();
     let shown = decoded(&picture_of_file(encoded, &limits).unwrap(), None);
     // Ten rows below the edge no block of the file holds a part of the upper half.
@@ -171,7 +178,8 @@ fn a_picture_that_is_scaled_while_it_is_decoded_is_cropped_at_the_same_place() {
     let whole = decoded(&picture, None);
     let target = PictureSize::new(160, 90);
     let small = decoded(&picture, Some(target));
-    assert!(small.size.width >= target.width && small.size.height >= target.height);
+    assert!(small.size.width >= target.width);
+    assert!(small.size.height >= target.height);
     assert_eq!(small.source_size, picture.size);
     // The means of the squares that its pixels stand for.
     let factor = (whole.size.width / small.size.width) as usize;
@@ -180,13 +188,13 @@ fn a_picture_that_is_scaled_while_it_is_decoded_is_cropped_at_the_same_place() {
     let most_far_off = small.pixels.len() / 200;
     for (at, pixel) in small.pixels.iter().enumerate() {
         let (left, top) = (at % columns * factor, at / columns * factor);
-        let square = (top..top + factor).flat_map(|y| {
-            let row = y * whole.size.width as usize;
-            whole.pixels[row + left..row + left + factor]
-                .iter()
-                .map(|pixel| u32::from(*pixel))
-        });
-        let mean = square.sum::<u32>() / (factor * factor) as u32;
+        let mut sum = 0_u32;
+        for y in top..top + factor {
+            let begin = y * whole.size.width as usize + left;
+            let row_of_square = &whole.pixels[begin..begin + factor];
+            sum += row_of_square.iter().copied().map(u32::from).sum::<u32>();
+        }
+        let mean = sum / (factor * factor) as u32;
         // A tenth of the range: JPEG's own differences stay below it.
         if mean.abs_diff(u32::from(*pixel)) > 24 {
             far_off += 1;
@@ -203,8 +211,9 @@ fn a_box_is_hidden_once_more_than_half_of_it_lies_in_the_mask() {
         ([0.75, 0.75, 0.2, 0.2], true),
         // In the second polygon only.
         ([0.1, 0.3, 0.1, 0.1], true),
-        // Three quarters of it, then one.
+        // Three quarters of it.
         ([0.9, 0.55, 0.1, 0.2], true),
+        // One quarter of it.
         ([0.9, 0.45, 0.1, 0.2], false),
         // Three eighths of a large box.
         ([0.8, 0.4, 0.4, 0.8], false),

@@ -11,7 +11,8 @@ const LOST: &str = "Status Message: CUDA failure 719: unspecified launch failure
 #[tokio::test(start_paused = true)]
 async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried() {
     let mut stage = stage(settings()).await;
-    let [lost, full] = [LOST, OUT_OF_MEMORY].map(|error| &*fault::in_words(error).leak());
+    let lost: &str = fault::in_words(LOST).leak();
+    let full: &str = fault::in_words(OUT_OF_MEMORY).leak();
     stage.script.next.lock().failures = [full, lost, lost].into();
     let error = stage.fail(Step::Fail(lost)).await.to_string();
     let expected = "the GPU is lost to this process";

@@ -5,6 +5,7 @@ use super::*;
 const SIZE: PictureSize = PictureSize::new(1, 1);
 /// The time between two pictures of a camera, milliseconds.
 const GAP: u64 = 40;
+/// The time that a run takes, milliseconds.
 const RUN: u64 = 12;
 
 /// A queue whose clock counts milliseconds from its start.
@@ -24,12 +25,13 @@ impl Line {
     }
 
     fn ask(&mut self, camera: usize, at: u64) {
+        let (reply, _) = oneshot::channel();
         self.queue.push(Request {
             asker: Some(Asker(camera)),
             picture: (),
             size: SIZE,
             requested_at: self.start + Duration::from_millis(at),
-            reply: oneshot::channel().0,
+            reply,
         });
     }
 
@@ -41,7 +43,8 @@ impl Line {
 
     fn run(&mut self) -> Vec<usize> {
         let batch = self.queue.take_batch();
-        batch.iter().filter_map(|request| Some(request.asker?.0)).collect()
+        let askers = batch.iter().filter_map(|request| request.asker);
+        askers.map(|Asker(camera)| camera).collect()
     }
 
     /// Lets cameras 0 and 1 ask in twelve rounds, camera 1 so much `later`.

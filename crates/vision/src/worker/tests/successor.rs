@@ -8,14 +8,18 @@ async fn stage_with_successor() -> (Stage, blocking::Sender<Result<usize, &'stat
     let (go_on, told) = blocking::channel::<Result<usize, _>>();
     let told = Mutex::new(told);
     let stage = stage_with(settings(), |script| {
-        Some(Box::new(move || match told.lock().recv() {
+        let build = move || match told.lock().recv() {
             Ok(Ok(facts)) => {
                 script.next.lock().facts = facts;
-                Ok(Scripted(Arc::clone(&script), TensorRt))
+                Ok(Scripted {
+                    script: Arc::clone(&script),
+                    provider: TensorRt,
+                })
             }
             Ok(Err(reason)) => Err(StartError::first_run("engine".as_ref(), reason)),
             Err(_) => Err(StartError::first_run("engine".as_ref(), "the test is over")),
-        }))
+        };
+        Some(Box::new(build))
     });
     (stage.await, go_on)
 }
@@ -56,7 +60,15 @@ async fn the_first_model_answers_until_its_successor_is_built_and_takes_over_bet
         ..WorkerCounts::default()
     };
     assert_eq!(stage.counts(), expected);
-    // From now on its own build repairs it.
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_successor_that_has_taken_over_is_repaired_by_its_own_build() {
+    let (mut stage, build) = stage_with_successor().await;
+    build.send(Ok(0)).unwrap();
+    until_provider(&stage, TensorRt).await;
+    // The first model has ended.
+    stage.ended.recv().await.unwrap();
     stage.fail(FAIL).await;
     build.send(Ok(0)).unwrap();
     pass(FIRST_PAUSE).await;

@@ -3,17 +3,22 @@ use crate::onnx::metadata;
 use albireo_core::geometry::PictureSize;
 
 #[test]
-fn a_dynamic_input_takes_its_size_from_the_configuration_or_the_metadata() {
+fn a_dynamic_input_takes_its_size_from_the_configuration_or_else_the_metadata() {
     let mut open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
-    let size = PictureSize::new(320, 256);
-    let wanted = Some(size);
-    assert_eq!(open.picture_input(wanted).unwrap().size, size);
-    let error = open.picture_input(None).unwrap_err();
-    assert!(error.contains("detector.input_size"), "{error}");
+    let configured = PictureSize::new(320, 256);
+    let wanted = Some(configured);
+    assert_eq!(open.picture_input(wanted).unwrap().size, configured);
     open.metadata = metadata(&[("imgsz", "[384, 640]")]);
+    assert_eq!(open.picture_input(wanted).unwrap().size, configured);
     let own = open.picture_input(None).unwrap().size;
     assert_eq!(own, PictureSize::new(640, 384));
-    assert_eq!(open.picture_input(wanted).unwrap().size, size);
+}
+
+#[test]
+fn a_dynamic_input_of_unknown_size_is_an_error_that_names_the_setting() {
+    let open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
+    let error = open.picture_input(None).unwrap_err();
+    assert!(error.contains("detector.input_size"), "{error}");
 }
 
 #[test]
@@ -171,32 +176,29 @@ fn models_are_recognised_by_their_exporters_conventions() {
     }
 }
 
+/// What a run tells of this model if its output has this shape, begins with these rows and is 0 elsewhere.
+fn told(
+    model: &Signature,
+    names: usize,
+    shape: [i64; 3],
+    rows: &[&[f32]],
+) -> Result<HeadName, String> {
+    let [_, count, length] = shape.map(|side| side as usize);
+    let mut values = vec![0.0; count * length];
+    for (row, numbers) in rows.iter().enumerate() {
+        values[row * length..][..numbers.len()].copy_from_slice(numbers);
+    }
+    let output = TensorView {
+        shape: &shape,
+        values: &values,
+    };
+    let input = model.picture_input(None).unwrap();
+    found(model, Some(names))?.by_values(model, input, &[output])
+}
+
 #[test]
 fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
     use HeadName::{EndToEnd, RtDetr, Yolo, Yolov5, Yolox};
-    /// What rows of these numbers, all others being 0, tell of an output of this name and shape.
-    fn told(
-        name: &str,
-        shape: [i64; 3],
-        names: usize,
-        rows: &[&[f32]],
-    ) -> Result<HeadName, String> {
-        let signature = plain(64, name, &shape);
-        let [_, count, length] = shape.map(|side| side as usize);
-        let mut values = vec![0.0; count * length];
-        for (row, numbers) in rows.iter().enumerate() {
-            values[row * length..][..numbers.len()].copy_from_slice(numbers);
-        }
-        let heads = found(&signature, Some(names))?;
-        heads.by_values(
-            &signature,
-            signature.picture_input(None).unwrap(),
-            &[TensorView {
-                shape: &shape,
-                values: &values,
-            }],
-        )
-    }
     let logarithms: &[f32] = &[0.5, 0.5, -0.5, -0.7, 0.9, 0.9];
     let centre: &[f32] = &[32.0, 32.0, 20.0, 10.0, 0.9, 0.8];
     let whole_class: &[f32] = &[10.0, 10.0, 30.0, 20.0, 0.9, 0.0];
@@ -217,14 +219,17 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
         ),
         ("output", [1, 300, 6], 2, &[whole_class], EndToEnd),
     ] {
-        assert_eq!(
-            told(name, shape, names, rows),
-            Ok(expected),
-            "{name} {shape:?}"
-        );
+        let head = told(&plain(64, name, &shape), names, shape, rows);
+        assert_eq!(head, Ok(expected), "{name} {shape:?}");
     }
-    // YOLOX with decoding in the graph, or YOLOv6: nothing tells.
-    let refusal = told("any", [1, 84, 6], 1, &[centre]).unwrap_err();
+}
+
+#[test]
+fn formats_that_not_even_a_run_tells_apart_are_refused_with_the_heads_to_choose_from() {
+    // YOLOX with decoding in the graph, or YOLOv6.
+    let shape = [1, 84, 6];
+    let centre: &[f32] = &[32.0, 32.0, 20.0, 10.0, 0.9, 0.8];
+    let refusal = told(&plain(64, "any", &shape), 1, shape, &[centre]).unwrap_err();
     for part in ["detector.head", "\"yolov5\"", "\"yolox\""] {
         assert!(refusal.contains(part), "{refusal}");
     }
@@ -232,36 +237,36 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
 
 #[test]
 fn an_open_number_of_rows_is_that_of_a_run() {
+    use HeadName::{RtDetr, Yolo, Yolov5};
     let with_objectness: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.9, 0.8];
     let in_pixels: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.9];
     let as_parts: &[f32] = &[0.5, 0.5, 0.3, 0.2, 0.9];
-    let either = "could be any of \"yolov5\", \"yolox\"";
-    // The input has 8400 cells. A black picture may give no row at all.
+    // The input has 8400 cells.
     for (row, length, rows, expected) in [
-        (with_objectness, 85, 3 * 8400, "yolov5"),
-        (with_objectness, 85, 8400, either),
-        (&[], 85, 0, either),
-        (in_pixels, 84, 8400, "yolo"),
-        (as_parts, 84, 300, "rt-detr"),
+        (with_objectness, 85, 3 * 8400, Yolov5),
+        (in_pixels, 84, 8400, Yolo),
+        (as_parts, 84, 300, RtDetr),
     ] {
-        let signature = plain(640, "output0", &[-1, -1, length]);
-        let input = signature.picture_input(None).unwrap();
-        let shape = [1, rows, length];
-        let mut values = vec![0.0; (rows * length) as usize];
-        values[..row.len()].copy_from_slice(row);
-        let run = TensorView {
-            shape: &shape,
-            values: &values,
-        };
-        match found(&signature, Some(80)).unwrap().by_values(&signature, input, &[run]) {
-            Ok(told) => assert_eq!(told.as_str(), expected, "{shape:?}"),
-            Err(refusal) => assert!(refusal.contains(expected), "{shape:?}: {refusal}"),
-        }
+        let open = plain(640, "output0", &[-1, -1, length]);
+        let head = told(&open, 80, [1, rows, length], &[row]);
+        assert_eq!(head, Ok(expected), "{rows} rows of {length}");
     }
 }
 
 #[test]
-fn an_unknown_model_is_rejected_with_every_head_that_was_tried_or_its_kind_and_the_way_out() {
+fn a_run_with_the_rows_of_two_heads_or_none_is_refused_with_both() {
+    let with_objectness: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.9, 0.8];
+    let open = plain(640, "output0", &[-1, -1, 85]);
+    // A black picture may give no row at all.
+    for (row, rows) in [(with_objectness, 8400), (&[], 0)] {
+        let refusal = told(&open, 80, [1, rows, 85], &[row]).unwrap_err();
+        let either = "could be any of \"yolov5\", \"yolox\"";
+        assert!(refusal.contains(either), "{rows} rows: {refusal}");
+    }
+}
+
+#[test]
+fn a_model_that_is_not_recognised_is_refused_with_the_reason_and_every_head_that_was_tried() {
     let ultralytics = |key, value| {
         let entries = [("author", "Ultralytics"), (key, value)];
         model(64, &[("output0", &[1, 6, 84])], &entries)
