@@ -2,7 +2,7 @@
 
 use albireo_router::authority::{Authority, DAY, Issued, Role};
 use albireo_service::clock::unix_milliseconds;
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Subcommand;
 use std::path::PathBuf;
 
@@ -44,14 +44,15 @@ pub(super) struct AuthorityPlace {
 
 impl AuthorityPlace {
     pub(super) fn open(&self) -> anyhow::Result<Authority> {
-        let opened = Authority::open(&self.folder);
-        if self.folder.join("authority.pem").exists() {
-            return Ok(opened?);
-        }
         let shown = self.folder.display();
-        opened.with_context(|| {
-            format!("no authority in {shown}; create one with `albireo cert authority`")
-        })
+        let certificate = self.folder.join("authority.pem");
+        let is_there =
+            certificate.try_exists().with_context(|| certificate.display().to_string())?;
+        ensure!(
+            is_there,
+            "no authority in {shown}; create one with `albireo cert authority --folder {shown}`"
+        );
+        Ok(Authority::open(&self.folder)?)
     }
 }
 
@@ -72,14 +73,14 @@ enum CertCommand {
     Hub(Members),
     /// Make certificates of routers, for the names and addresses they are reached at.
     Router(Members),
-    /// Renew valid certificates. The old ones stay valid until they expire.
+    /// Renew certificates that are not revoked, also expired ones. The old ones stay valid until they expire.
     Renew {
         /// Role of the certificate to renew; needs the name.
         #[arg(requires = "name", required_unless_present = "within")]
         role: Option<Role>,
         /// Name in the certificate.
         name: Option<String>,
-        /// Renew all certificates that expire within this many days.
+        /// Renew all certificates that expire within this many days, or have expired.
         #[arg(long, value_name = "DAYS", conflicts_with = "role")]
         within: Option<u32>,
         /// How long they are valid, days.
@@ -154,10 +155,12 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
         CertCommand::Revoke { role, name } => {
             let revoked = place.open()?.revoke(*role, name)?;
             println!(
-                "`{}` is revoked once the router has new rules: run `albireo acl --output access.json`,\n\
+                "`{}` is revoked once the router has new rules: run\n\
+                 `albireo acl --folder {} --output access.json` with its other options,\n\
                  copy access.json to /etc/albireo on the router's machine, and run there\n\
                  `sudo systemctl restart albireo-router`",
-                revoked.common_name()
+                revoked.common_name(),
+                place.folder.display()
             );
         }
         CertCommand::List { json } => {

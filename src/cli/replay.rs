@@ -69,6 +69,8 @@ pub struct ReplayArguments {
 
 /// Longest time until a subscriber is known.
 const LISTENERS: Duration = Duration::from_secs(2);
+/// The patience of a single attempt to connect.
+const ONE_ATTEMPT: Duration = Duration::ZERO;
 
 /// Replays until the source ends or `shutdown`, then prints what was sent.
 ///
@@ -135,7 +137,7 @@ async fn open_at_once(
     key: &str,
 ) -> anyhow::Result<(Session, FrameSender)> {
     let answer = format!("for an answer from {}", arguments.target.endpoints());
-    let opening = open(arguments, key, Duration::ZERO);
+    let opening = open(arguments, key, ONE_ATTEMPT);
     let (session, sender) = progress::waiting(&answer, opening).await?;
     // Subscribers are known a moment after the session is open.
     if sender.wait_for_receiver(LISTENERS).await.is_err() {
@@ -171,7 +173,7 @@ async fn open_and_wait(
     progress::waiting(&what, subscribing).await
 }
 
-/// Opens a session within `patience`, and a sender on it.
+/// Opens a session, with new attempts for `patience`, and a sender on it.
 async fn open(
     arguments: &ReplayArguments,
     key: &str,
@@ -201,9 +203,8 @@ async fn tell_of_receivers(
         let said = match *receivers.borrow_and_update() {
             Receivers::Gone => {
                 had_left = true;
-                // The limit counts from now.
                 let meanwhile = if every {
-                    format!("the next frame waits, {}", progress::at_most(TURN))
+                    format!("the next frame waits at most {} s", TURN.as_secs())
                 } else {
                     "frames are lost".to_owned()
                 };

@@ -1,7 +1,7 @@
 //! Reads and writes recorded detections: a folder with `sequences.json` and comma-separated tables.
 //!
-//! - `sequences.json`: `{"sequences": [{"name", "width", "height", "fps", "frames", "camera"}, …]}`;
-//!   other keys are ignored,
+//! - `sequences.json`: `{"sequences": [{"name", "width", "height", "fps", "frames", "camera", "ground_truth_boxes"}, …],
+//!   "class_names": […]}`; other keys are ignored,
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
 //! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects; or
@@ -15,7 +15,7 @@
 //! (`ground_truth_boxes`) must have the file. [`write`] writes the same layout.
 
 use super::classes::Evaluated;
-use super::rows::{Row, Table};
+use super::rows::{MAX_FRAMES, Row, Table};
 use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE};
 use crate::error::EvalError;
 use crate::files::{self, read_text};
@@ -105,10 +105,15 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
 
 fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {
     let name = &entry.name;
-    let names_a_file = name.is_empty() || name.starts_with('.') || name.contains(['/', '\\']);
+    let cannot_name_a_file = name.is_empty() || name.starts_with('.') || name.contains(['/', '\\']);
     let is_no_rate = |rate: f64| !rate.is_finite() || rate <= 0.0;
-    let what = if names_a_file {
-        format!("`{name}` cannot be a sequence's name: it names a file")
+    let what = if cannot_name_a_file {
+        format!("`{name}` cannot be a sequence's name: files are named after it")
+    } else if entry.frames > MAX_FRAMES {
+        format!(
+            "the sequence `{name}` has {} frames; at most {MAX_FRAMES} are read",
+            entry.frames
+        )
     } else if entry.width == 0 || entry.height == 0 {
         format!(
             "the sequence `{name}` has pictures of {}x{} pixels",
@@ -212,13 +217,13 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
 
 /// Reads a place where boxes are not judged.
 fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
-    let region = Ignored {
-        corners: corners(row)?,
-        class: None,
-        mark: Mark::Region,
-    };
+    let corners = corners(row)?;
     if !has_mark {
-        return Ok(region);
+        return Ok(Ignored {
+            corners,
+            class: None,
+            mark: Mark::Region,
+        });
     }
     let name = row.text(6, "mark")?;
     let Some((mark, _)) = MARKS.iter().find(|(_, known)| *known == name) else {
@@ -233,18 +238,18 @@ fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
         },
     };
     Ok(Ignored {
+        corners,
         class,
         mark: *mark,
-        ..region
     })
 }
 
 /// Writes the places of a clip where boxes are not judged; in the short form, if all are regions for any class.
 fn ignored_table(ignored: &[Vec<Ignored>]) -> String {
-    let is_plain = |ignored: &Ignored| ignored.mark == Mark::Region && ignored.class.is_none();
+    let is_plain = |place: &Ignored| place.mark == Mark::Region && place.class.is_none();
     if ignored.iter().flatten().all(is_plain) {
-        return formatted(REGION_HEADER, ignored, |region: &Ignored| {
-            cells(region.corners)
+        return formatted(REGION_HEADER, ignored, |place: &Ignored| {
+            cells(place.corners)
         });
     }
     formatted(IGNORED_HEADER, ignored, |place: &Ignored| {

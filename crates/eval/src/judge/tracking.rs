@@ -80,13 +80,13 @@ pub fn tracking<'a>(
         .iter()
         .map(|found| found.iter().filter(is_shown).copied().collect())
         .collect();
-    let predictions = without_ignored(&shown, truth, Classes::Pooled);
+    let judged = without_ignored(&shown, truth, Classes::Pooled);
     let mut objects = Appearances::default();
     let mut tracks = Appearances::default();
     let mut frames = Vec::new();
-    for index in 0..predictions.len().max(truth.objects.len()) {
+    for index in 0..judged.len().max(truth.objects.len()) {
         let known = truth.objects(index);
-        let found = predictions.get(index).map_or(&[][..], Vec::as_slice);
+        let found = judged.get(index).map_or(&[][..], Vec::as_slice);
         let mut frame = Overlaps::default();
         for object in known {
             let number = objects.add(object.object?);
@@ -123,9 +123,11 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
             column_sums[column] += iou;
         }
         for (row, column, iou) in frame.pairs() {
-            let all = row_sums[row] + column_sums[column] - iou;
-            if all > f64::EPSILON {
-                shared[frame.truths[row] * columns + frame.tracks[column]] += iou / all;
+            let object = frame.truths[row];
+            let track = frame.tracks[column];
+            let of_either = row_sums[row] + column_sums[column] - iou;
+            if of_either > f64::EPSILON {
+                shared[object * columns + track] += iou / of_either;
             }
         }
     }
@@ -151,17 +153,18 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
             }
         }
     }
-    let at = |threshold: usize| {
+    let at = |index: usize| {
         let mut hits = 0.0;
         let mut association = 0.0;
         for (&(object, track), counts) in &matches {
-            let count = counts[threshold];
+            let count = counts[index];
             let either = objects.counts[object] + tracks.counts[track] - count;
             hits += count;
             association += count * count / either;
         }
         // The square root of detection accuracy, hits / (all - hits), times association accuracy, association / hits.
-        (association / (objects.total() + tracks.total() - hits)).sqrt()
+        let all = objects.total() + tracks.total();
+        (association / (all - hits)).sqrt()
     };
     (0..THRESHOLDS).map(at).sum::<f64>() / THRESHOLDS as f64
 }
@@ -172,7 +175,9 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
     for frame in frames {
         for (row, column, iou) in frame.pairs() {
             if iou >= 0.5 {
-                matches[frame.truths[row] * columns + frame.tracks[column]] += 1.0;
+                let object = frame.truths[row];
+                let track = frame.tracks[column];
+                matches[object * columns + track] += 1.0;
             }
         }
     }
@@ -198,13 +203,18 @@ mod tests {
     }
 
     #[test]
-    fn a_track_cut_in_two_keeps_half_of_its_identity() {
+    fn a_track_that_is_never_cut_is_perfect() {
         let truth = vec![known(Some(7)); 4];
         let whole = vec![vec![found(0.0, Some(3), 0.9)]; 4];
-        let cut: Vec<_> = (0..4).map(|frame| vec![found(0.0, Some(frame / 2), 0.9)]).collect();
         let perfect = tracking(&whole, &truth).unwrap();
         assert_eq!(perfect.hota, 1.0);
         assert_eq!(perfect.idf1, 1.0);
+    }
+
+    #[test]
+    fn a_track_cut_in_two_keeps_half_of_its_identity() {
+        let truth = vec![known(Some(7)); 4];
+        let cut: Vec<_> = (0..4).map(|frame| vec![found(0.0, Some(frame / 2), 0.9)]).collect();
         let halves = tracking(&cut, &truth).unwrap();
         assert!((halves.hota - 0.5_f64.sqrt()).abs() < 1e-12, "{halves:?}");
         assert_eq!(halves.idf1, 0.5);
@@ -233,6 +243,10 @@ mod tests {
         assert_eq!(tracking(&right_and_wrong(None, 0.3), &truth), None);
         let faint = tracking(&right_and_wrong(None, 0.2), &truth).unwrap();
         assert_eq!(faint.hota, 1.0);
+    }
+
+    #[test]
+    fn an_object_without_a_number_cannot_be_scored() {
         let numbered = right_and_wrong(Some(2), 0.3);
         assert_eq!(tracking(&numbered, &[known(None)]), None);
     }

@@ -124,6 +124,15 @@ fn a_mark_that_is_no_rule_is_refused_by_name() {
 }
 
 #[test]
+fn a_sequence_of_more_frames_than_are_read_is_refused_by_name() {
+    let index = INDEX.replace("\"frames\": 3", "\"frames\": 1000000000000000");
+    assert_ne!(index, INDEX);
+    let files = folder(&[("sequences.json", &index), ("detections/a.csv", HEADER)]);
+    let parts = ["sequences.json", "`a`", "1000000000000000 frames"];
+    assert_refused(recorded::read(files.path()), &parts);
+}
+
+#[test]
 fn a_mark_for_a_class_that_cannot_be_is_refused() {
     let files = folder(&[
         ("sequences.json", INDEX),

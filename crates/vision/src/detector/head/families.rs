@@ -263,7 +263,9 @@ fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<St
     // As many names as classes leave no doubt, whatever strides the model has.
     if let Ok(Some(names)) = signature.metadata.class_names() {
         let numbers = BEFORE_CLASSES + names.len();
-        if count(first) == numbers || count(second) == numbers {
+        // Some hundred rows may be those of RT-DETR.
+        let has_row_per_anchor = count(second) == numbers && first > MOST_BOXES;
+        if count(first) == numbers || has_row_per_anchor {
             return None;
         }
     }
