@@ -38,6 +38,7 @@ results=$(mktemp)
 trap 'rm -f "$results"' EXIT
 cases=()
 for objects in 10 30 100 300; do cases+=("albireo/detector $objects" "expected-loss/detector $objects"); done
+for objects in 30 100; do cases+=("albireo-reference/detector $objects"); done
 for objects in 10 100; do cases+=("albireo/predicted $objects" "albireo/answered $objects"); done
 export -f instructions count
 export program

@@ -4,10 +4,11 @@
 //! counted CASE OBJECTS LAPS
 //! ```
 //!
-//! A case is a policy and what it does: `albireo/detector` and `expected-loss/detector` match detections to objects,
-//! `albireo/predicted` predicts all, and `albireo/answered` is what a node does about a predicted frame but for the ring
-//! and Zenoh: its attachment is read, the frame predicted, and the answer written. A lap has [`LAP`] frames. Runs of one
-//! case differ by whole laps, so the difference of their counts is free of start and set-up.
+//! A case is a policy and what it does: `albireo/detector`, `albireo-reference/detector` (the profile `reference`) and
+//! `expected-loss/detector` match detections to objects, `albireo/predicted` predicts all, and `albireo/answered` is what a
+//! node does about a predicted frame but for the ring and Zenoh: its attachment is read, the frame predicted, and the answer
+//! written. A lap has [`LAP`] frames. Runs of one case differ by whole laps, so the difference of their counts is free of
+//! start and set-up.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
@@ -113,6 +114,10 @@ fn main() {
     match case.as_str() {
         "albireo/detector" => {
             let policy = albireo(AlbireoSettings::of(Profile::Paper));
+            detector_frames(policy, objects, laps);
+        }
+        "albireo-reference/detector" => {
+            let policy = albireo(AlbireoSettings::of(Profile::Reference));
             detector_frames(policy, objects, laps);
         }
         "expected-loss/detector" => {

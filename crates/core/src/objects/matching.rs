@@ -125,10 +125,9 @@ impl Matcher {
             }
             if let Some((_, cost_of)) = reach(row) {
                 self.rows.push(row);
-                for column in &self.columns {
-                    let cost = cost_of(detections[*column].bounding_box);
-                    self.matrix.push(competing(cost));
-                }
+                // Half the time of a push for each: the length is known, and there is a cost for every pair.
+                let boxes = self.columns.iter().map(|column| detections[*column].bounding_box);
+                self.matrix.extend(boxes.map(|of_column| competing(cost_of(of_column))));
             }
         }
         let rows = &self.rows;
