@@ -74,7 +74,7 @@ pub(super) struct DemoArguments {
 /// When a part cannot start.
 pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        // The summary counts dropped and failed frames; a warning, even from a library, would break the table.
+        // A warning, even from a library, would break the table. The summary counts the dropped frames.
         level: "error,tower_http=off,zenoh=off,zenoh_transport=off,zenoh_link=off,zenoh_ext=off,ort=off,hyper=off"
             .to_owned(),
         ..LogConfig::default()
@@ -97,7 +97,7 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     let prepared = PreparedNode::new(&config)?;
     let show = Show::new(prepared.board(), shutdown.clone());
     // Printed once the node works: before, an error may be all there is to say.
-    let banner = show.banner(&config, [page, hub_page], &moved);
+    let banner = show.banner(&config, page, hub_page, &moved);
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.

@@ -29,7 +29,7 @@ rollout on hold.
 Examples:
   albireo fleet ls                                   all nodes and their states
   albireo fleet show cam-7
-      one node: values, health, last clips
+      one node: values and health
   albireo fleet set-u 5e-4 --select 'cam-*' --dry-run    who would change
   albireo fleet set-u 5e-4 --select 'cam-*' --why 'less traffic at night'
   albireo fleet set-target skip_rate=0.5 --select region=north

@@ -56,26 +56,27 @@ impl Show {
     pub(super) fn banner(
         &self,
         config: &NodeConfig,
-        [node, hub]: [SocketAddr; 2],
+        page: SocketAddr,
+        hub_page: SocketAddr,
         moved: &[String],
     ) -> String {
         let model = config.detector.model.display();
         let mut lines = vec![format!("albireo demo: a recorded road -> Zenoh -> {model}")];
         lines.extend(moved.iter().map(|moved| format!("  {moved}")));
-        lines.push(format!("  page     http://{node}/"));
-        lines.push(format!("  counters curl http://{node}/api/v1/frame-states"));
+        lines.push(format!("  page     http://{page}/"));
+        lines.push(format!("  counters curl http://{page}/api/v1/frame-states"));
         let camera = self.board.cameras.first();
         if let Some(spec) = camera.and_then(|camera| camera.threshold_spec()) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
             let body = serde_json::json!({ spec.name: value });
             lines.push(format!(
-                "  tune it  curl -X PUT http://{node}/api/v1/threshold -d '{body}'"
+                "  tune it  curl -X PUT http://{page}/api/v1/threshold -d '{body}'"
             ));
         }
         if self.board.can_pause() {
             lines.push(format!(
-                "  pause    curl -X PUT http://{node}/api/v1/screen -d '{{\"pause_s\": 0.2}}'"
+                "  pause    curl -X PUT http://{page}/api/v1/screen -d '{{\"pause_s\": 0.2}}'"
             ));
             lines.push(
                 "           on the empty road every fifth frame is looked at: 564 calls a round,\n           not 827"
@@ -83,12 +84,12 @@ impl Show {
             );
         }
         lines.push(format!(
-            "  policy   curl -X PUT http://{node}/api/v1/policy \\\n             -d '{{\"name\": \"expected-loss\"}}'"
+            "  policy   curl -X PUT http://{page}/api/v1/policy \\\n             -d '{{\"name\": \"expected-loss\"}}'"
         ));
-        lines.push(format!("  fleet's page  http://{hub}/"));
-        lines.push(format!("  hub      curl http://{hub}/api/v1/clips"));
+        lines.push(format!("  fleet's page  http://{hub_page}/"));
+        lines.push(format!("  hub      curl http://{hub_page}/api/v1/clips"));
         lines.push(format!(
-            "  fleet    {} fleet --hub http://{hub} ls",
+            "  fleet    {} fleet --hub http://{hub_page} ls",
             program()
         ));
         lines.push(LEGEND.to_owned());

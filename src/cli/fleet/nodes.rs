@@ -1,6 +1,6 @@
 //! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
-use super::table::{cut, table};
+use super::table::{cut, printable, table};
 use super::units::{self, ago, figure, joined, name_of, seconds, threshold, when};
 use super::{Context, Ended};
 use crate::cli::terminal::width;
@@ -8,7 +8,7 @@ use crate::cli::values::counted;
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
-use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
+use albireo_wire::{CameraStatus, EnergyQuality, NodeKeys, NodeStatus, NodeTarget};
 use reqwest::Method;
 use serde_json::json;
 use std::io::IsTerminal;
@@ -39,7 +39,7 @@ pub(super) struct ListArguments {
 
 pub(super) async fn forget(context: &Context, nodes: &[String]) -> anyhow::Result<Ended> {
     for node in nodes {
-        let path = format!("/api/v1/nodes/{node}");
+        let path = path_of(node)?;
         context.client.plain(Method::DELETE, &path).await?;
         println!("{node} is forgotten");
     }
@@ -66,13 +66,14 @@ pub(super) struct EnergyArguments {
 /// Fetches the nodes page by page.
 pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow::Result<Ended> {
     let ListArguments { state, sort, limit } = arguments;
+    // The worst state, the most recent status and the most waiting reports come first.
+    let is_reversed = sort != "name";
     let mut found: Vec<NodeView> = Vec::new();
     while found.len() < limit {
         let mut query = vec![
             ("limit", PAGE.min(limit - found.len()).to_string()),
             ("offset", found.len().to_string()),
-            // The worst state, the most recent status and the most waiting reports come first.
-            ("down", (sort != "name").to_string()),
+            ("down", is_reversed.to_string()),
             ("sort", sort.clone()),
         ];
         if let Some(state) = &state {
@@ -131,10 +132,16 @@ fn list_of(nodes: &[NodeView]) -> String {
     table(headings, rows)
 }
 
+/// The path of a node in the hub's API. A name that no node can have is refused: `cam-7?old` would be a query to cam-7.
+fn path_of(node: &str) -> anyhow::Result<String> {
+    let any_prefix = "albireo";
+    NodeKeys::new(any_prefix, node)?;
+    Ok(format!("/api/v1/nodes/{node}"))
+}
+
 pub(super) async fn show(context: &Context, node: &str) -> anyhow::Result<Ended> {
-    let path = format!("/api/v1/nodes/{node}");
-    let node: NodeDetail = context.client.get(&path, &[]).await?;
-    context.print(&node, |detail| facts(&detail.node))
+    let detail: NodeDetail = context.client.get(&path_of(node)?, &[]).await?;
+    context.print(&detail, |detail| facts(&detail.node))
 }
 
 /// Formats what is known of a node, a line for each fact.
@@ -186,7 +193,8 @@ fn facts(node: &NodeView) -> String {
     let mut text = String::new();
     for (name, value) in lines {
         if !value.is_empty() {
-            text += &cut(&format!("{name:<12} {value}"), width());
+            let line = format!("{name:<12} {}", printable(&value));
+            text += &cut(&line, width());
             text.push('\n');
         }
     }
@@ -202,14 +210,14 @@ fn target_words(report: &NodeTarget) -> String {
 }
 
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
-    let from = unix_milliseconds() - (arguments.since * 1e3) as i64;
+    let start_ms = unix_milliseconds() - (arguments.since * 1e3) as i64;
     // The hub keeps sums of whole days, which are enough for a long time.
-    let from = if arguments.since >= WHOLE_DAYS_FROM {
-        from.div_euclid(DAY_MS) * DAY_MS
+    let since_ms = if arguments.since >= WHOLE_DAYS_FROM {
+        start_ms.div_euclid(DAY_MS) * DAY_MS
     } else {
-        from
+        start_ms
     };
-    let mut query = vec![("since_ms", from.to_string()), ("sort", arguments.sort)];
+    let mut query = vec![("since_ms", since_ms.to_string()), ("sort", arguments.sort)];
     if let Some(by) = arguments.by {
         query.push(("by", by));
     }

@@ -8,13 +8,11 @@ pub(super) fn table<const N: usize>(
     headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
 ) -> String {
-    // A name from the network must not move the cursor.
-    let clean = |cell: String| cell.replace(char::is_control, " ");
     let headings: Vec<&str> = headings.split('|').collect();
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
     for row in rows {
-        lines.push(Vec::from(row.map(clean)));
+        lines.push(Vec::from(row.map(|cell| printable(&cell))));
     }
     let mut widths = vec![0; headings.len()];
     for line in &lines {
@@ -39,6 +37,11 @@ pub(super) fn table<const N: usize>(
         text.push('\n');
     }
     text
+}
+
+/// A text from the network as it can be printed: it must not move the cursor.
+pub(super) fn printable(text: &str) -> String {
+    text.replace(char::is_control, " ")
 }
 
 /// Cuts the text to at most `width` characters.

@@ -95,7 +95,7 @@ pub struct Source<'a> {
     pub picture: PictureSize,
     /// Frames per second.
     pub frame_rate: Option<f64>,
-    /// How crowds are judged.
+    /// How crowds, ignored labels and distractors are judged.
     pub rules: Rules,
 }
 
@@ -128,34 +128,33 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
         classes,
     };
     let report = &mut data.report;
-    let mut truths = match source.truth {
-        Some(path) => Some(reading.videos(path, Kind::Truth, report)?),
-        None => None,
-    };
-    let mut found = match source.detections {
-        Some(path) => Some(reading.videos(path, Kind::Predictions, report)?),
-        None => None,
-    };
-    let names: BTreeSet<String> = truths
-        .iter()
-        .flat_map(BTreeMap::keys)
-        .chain(found.iter().flat_map(BTreeMap::keys))
-        .cloned()
-        .collect();
+    let mut truths = Videos::new();
+    if let Some(path) = source.truth {
+        truths = reading.videos(path, Kind::Truth, report)?;
+    }
+    let mut found = Videos::new();
+    if let Some(path) = source.detections {
+        found = reading.videos(path, Kind::Predictions, report)?;
+    }
+    let names: BTreeSet<String> = truths.keys().chain(found.keys()).cloned().collect();
     for name in names {
-        let truth = truths.as_mut().and_then(|truths| truths.remove(&name));
-        let detections = found.as_mut().and_then(|found| found.remove(&name));
+        let truth = truths.remove(&name);
+        let detections = found.remove(&name);
         let frames = length(truth.as_ref()).max(length(detections.as_ref()));
         let mut clip = Clip {
             frame_rate: source.frame_rate,
             ..Clip::new(name, source.picture, frames)
         };
         if let Some(truth) = truth {
-            if truth.values().all(|labelled| labelled.is_by_name) {
+            let are_by_name = truth.values().all(|labelled| labelled.is_by_name);
+            if are_by_name {
                 clip.places = truth.keys().copied().collect();
             }
-            let has_gap = truth.len() < length(Some(&truth));
-            if has_gap {
+            let labelled = length(Some(&truth));
+            let has_gap = truth.len() < labelled;
+            // Labels that name pictures need not list the last ones, either.
+            let ends_early = are_by_name && labelled < frames;
+            if has_gap || ends_early {
                 for unlisted in (0..frames).filter(|frame| !truth.contains_key(frame)) {
                     clip.ignore(unlisted, Ignored::UNLABELLED);
                 }
@@ -307,9 +306,9 @@ struct FramePlace {
 }
 
 impl Frame {
-    /// Finds the place of the frame. A file that names neither video nor index, such as the label file of the paper's
-    /// authors, has them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one
-    /// video.
+    /// Finds the place of the frame. One that names no video, as in the label file of the paper's authors, has it in its
+    /// picture's name, `<video>-<7 digits>.jpg` counted from 1, or else belongs to the file's video. Its own index counts
+    /// before that of the name, and this one before its position.
     fn place(&self, file_stem: &str, position: usize) -> FramePlace {
         if self.video.is_none()
             && let Some((video, index)) = self.place_by_name()

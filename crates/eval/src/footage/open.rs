@@ -44,6 +44,10 @@ impl FromStr for SourceName {
         if text == "demo" {
             return Ok(Self::Demo);
         }
+        // An address, whatever it ends in; `Video::open` says what it takes in place of a live camera.
+        if text.contains("://") {
+            return Ok(Self::Video(text.into()));
+        }
         // A topic begins with a slash.
         if let Some((file, topic)) = text.split_once(".mcap:/") {
             let topic = Some(format!("/{topic}"));
@@ -260,6 +264,10 @@ mod tests {
         let folder = env!("CARGO_MANIFEST_DIR");
         for (text, expected) in [
             ("drive.mp4", SourceName::Video("drive.mp4".into())),
+            (
+                "http://camera/snap.jpg",
+                SourceName::Video("http://camera/snap.jpg".into()),
+            ),
             ("one.PNG", SourceName::Pictures("one.PNG".into())),
             ("demo", SourceName::Demo),
             ("other.tar", SourceName::Archive("other.tar".into())),

@@ -260,7 +260,6 @@ impl DetectorHandle {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use parking_lot::Mutex;
     use std::path::Path;
     use std::sync::mpsc::channel;
 
@@ -278,10 +277,9 @@ mod tests {
             confidence: 0.9,
             ..first.clone()
         };
-        let (go_on, told) = channel::<()>();
-        let told = Mutex::new(told);
+        let (go_on, may_build) = channel::<()>();
         let successor: Build<DetectorNetwork> = Box::new(move || {
-            let _ = told.lock().recv();
+            let _ = may_build.recv();
             DetectorNetwork::open(&second)
         });
         let settings = WorkerSettings {
@@ -306,8 +304,16 @@ mod tests {
         };
         assert_eq!(boxes().await, 1);
         go_on.send(()).unwrap();
-        let swapped = async { while boxes().await == 1 {} };
-        tokio::time::timeout(Duration::from_secs(60), swapped).await.unwrap();
+        let of_second = async {
+            loop {
+                let count = boxes().await;
+                if count != 1 {
+                    return count;
+                }
+            }
+        };
+        let limit = Duration::from_secs(60);
+        assert_eq!(tokio::time::timeout(limit, of_second).await, Ok(0));
         let counts = worker.meter.read();
         assert_eq!(counts.failed, 0);
         assert_eq!(counts.refused, 0);

@@ -156,10 +156,12 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
     /// Waits until the model has nothing to do; returns `None` once the worker has been stopped.
     pub(crate) async fn idle(&self) -> Option<()> {
         let mut idle = self.idle.clone();
-        match idle.wait_for(|idle| *idle).await {
-            Ok(_) => Some(()),
-            Err(_) => None,
+        let has_ended = idle.wait_for(|idle| *idle).await.is_err();
+        // A worker that was stopped while it had nothing to do stays idle.
+        if has_ended || self.stop.token.is_cancelled() {
+            return None;
         }
+        Some(())
     }
 
     /// Accepts no more pictures, refuses those that wait, and returns when the run in progress has ended or exceeded

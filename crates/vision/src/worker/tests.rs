@@ -567,6 +567,14 @@ async fn stopping_finishes_the_current_run_and_rejects_the_rest_and_spare_pictur
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_worker_that_was_stopped_while_idle_is_not_idle_any_more() {
+    let stage = stage(settings()).await;
+    assert_eq!(stage.worker.idle().await, Some(()));
+    stage.worker.stop().await;
+    assert_eq!(stage.worker.idle().await, None);
+}
+
+#[tokio::test(start_paused = true)]
 async fn stopping_waits_for_a_hanging_run_only_up_to_its_limit() {
     for stopped_after in [Duration::ZERO, TIMEOUT] {
         let mut stage = stage(settings()).await;

@@ -252,6 +252,18 @@ fn a_frame_of_bdd100k_that_occurs_twice_is_refused() {
 }
 
 #[test]
+fn frames_behind_the_last_picture_that_labels_name_are_not_judged() {
+    let labels = r#"[{"name": "v-0000001.jpg", "labels": []}]"#;
+    let predictions = r#"[{"name": "v-0000001.jpg", "labels": []}, {"name": "v-0000002.jpg", "labels": [
+        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#;
+    let data = bdd100k(Some(labels), Some(predictions), Rules::Benchmark).unwrap();
+    let [clip] = data.clips.as_slice() else {
+        panic!("{:?}", data.clips);
+    };
+    assert_eq!(clip.ignored, [vec![], vec![Ignored::UNLABELLED]]);
+}
+
+#[test]
 fn labels_without_videos_are_divided_by_the_names_of_their_pictures() {
     let frame = |name: &str| format!(r#"{{"name": "{name}", "labels": []}}"#);
     let names = ["b1c6-0000002.jpg", "b1c6-0000001.jpg", "b1ca-0000001.jpg"];

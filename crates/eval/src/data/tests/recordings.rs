@@ -4,14 +4,14 @@ use super::super::*;
 use super::{assert_refused, folder, left_out};
 use crate::data::classes::CAR;
 
-// Recordings describe their classes for people, too; only `class_names` is read.
+// "classes" is for people and is not read; the key that is read, "class_names", is absent here.
 const INDEX: &str = r#"{"classes": {"2": "car"},
     "sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
 const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark\n";
 
-/// What a recording lacks that has no file of detections, or none of ground truth.
+/// No file of detections, or none of ground truth.
 const NO_FILE: Option<&str> = None;
 /// A file with only its header.
 const NO_ROWS: Option<&str> = Some("");
@@ -80,7 +80,7 @@ fn clips_that_are_written_one_by_one_are_there_after_each() {
 
 #[test]
 fn every_mark_of_a_recording_is_written_and_read_back() {
-    let mark = |class: Option<u16>, mark| Ignored {
+    let ignored = |class: Option<u16>, mark: Mark| Ignored {
         corners: Corners {
             x1: 0.1,
             y1: 0.0,
@@ -95,11 +95,11 @@ fn every_mark_of_a_recording_is_written_and_read_back() {
         truth: Some(vec![Vec::new(); 3]),
         ignored: vec![
             vec![
-                mark(Some(2), Mark::Crowd),
-                mark(None, Mark::Distractor),
-                mark(None, Mark::Unjudged),
+                ignored(Some(2), Mark::Crowd),
+                ignored(None, Mark::Distractor),
+                ignored(None, Mark::Unjudged),
             ],
-            vec![mark(Some(0), Mark::Object), mark(None, Mark::Region)],
+            vec![ignored(Some(0), Mark::Object), ignored(None, Mark::Region)],
             vec![Ignored::UNLABELLED],
         ],
         ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 3)
@@ -195,19 +195,34 @@ fn an_impossible_description_is_rejected() {
 
 #[test]
 fn meaningless_rows_are_left_out_counted_and_named() {
-    let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
-                0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
-    let data = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
+    let rows = [
+        "0,1,2,3,4,NaN,2",
+        "0,inf,2,3,4,0.9,2",
+        // Its right side is left of its left one.
+        "0,5,2,3,4,0.9,2",
+        // It has no height.
+        "0,1,4,3,4,0.9,2",
+        "0,200,2,300,4,0.9,2",
+        "0,1,2,3,4,1.5,2",
+    ];
+    let inverted_truth = "0,9,9,5,5,2,1\n";
+    let data = recorded(INDEX, Some(&rows.join("\n")), Some(inverted_truth)).unwrap();
     let report = &data.report;
     assert_eq!(left_out(report, LeftOut::NotFinite), 2);
     assert_eq!(left_out(report, LeftOut::EmptyBox), 3);
     assert_eq!(left_out(report, LeftOut::OutsidePicture), 1);
     assert_eq!(left_out(report, LeftOut::ConfidenceRange), 1);
-    assert_eq!(report.reaching_outside, 1);
-    let kept = data.clips[0].detections.iter().flatten().flatten();
-    assert_eq!(kept.count(), 1);
+    assert_eq!(data.clips[0].detections, Some(vec![Vec::new(); 3]));
     let lines = report.lines().join("\n");
     assert!(lines.contains("detections/a.csv:2"), "{lines}");
+}
+
+#[test]
+fn a_box_that_reaches_outside_the_picture_is_kept_and_counted() {
+    let data = recorded(INDEX, Some("1,-5,2,3,4,0.9,2\n"), NO_FILE).unwrap();
+    assert_eq!(data.report.reaching_outside, 1);
+    let frames = data.clips[0].detections.as_ref().unwrap();
+    assert_eq!(frames[1].len(), 1);
 }
 
 #[test]
