@@ -324,4 +324,20 @@ mod tests {
         let expected = "evaluating: cannot read a.csv: no such file";
         assert_eq!(in_words(&error), expected);
     }
+
+    #[test]
+    fn a_number_that_json_cannot_hold_is_refused_before_a_hub_is_asked() {
+        for command in ["set-u nan", "set-u inf", "set-target recall=nan"] {
+            let words = format!("albireo fleet {command} --select all");
+            let refused = Arguments::try_parse_from(words.split(' ')).err().unwrap();
+            assert!(refused.to_string().contains("is not a number"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn an_endpoint_that_is_none_is_refused_at_once() {
+        let words = "albireo publish --connect nonsense";
+        let refused = Arguments::try_parse_from(words.split(' ')).err().unwrap();
+        assert!(refused.to_string().contains("tcp/"), "{refused}");
+    }
 }

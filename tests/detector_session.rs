@@ -3,7 +3,7 @@
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,
 };
-use super::support::{assert_contains, run_command};
+use super::support::{assert_contains, grey_jpeg, run_command};
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, ExecutionProvider, HeadName, ModelStatus,
 };
@@ -180,4 +180,29 @@ fn onnx_runtime_writes_nothing_under_the_users_home() {
     detect.env_remove("XDG_CACHE_HOME");
     run_command(detect.env_remove("ORT_DISABLE_TELEMETRY")).succeeds();
     assert_eq!(std::fs::read_dir(home.path()).unwrap().count(), 0);
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn pictures_whose_files_would_have_one_name_are_refused_before_any_is_looked_at() {
+    let folder = tempfile::tempdir().unwrap();
+    let detect = |pictures: [&str; 2]| {
+        let mut detect = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
+        detect
+            .arg("detect")
+            .arg(model("boxes.onnx"))
+            .arg("--out")
+            .arg(folder.path().join("seen"));
+        for picture in pictures {
+            let path = folder.path().join(picture);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, grey_jpeg(90, [32, 16])).unwrap();
+            detect.arg(path);
+        }
+        run_command(&mut detect)
+    };
+    let said = detect(["a/1.jpg", "b/1.jpg"]).fails();
+    assert_contains(&said, &["a/1.jpg", "b/1.jpg", "one name"]);
+    assert!(!folder.path().join("seen").exists());
+    detect(["a/1.jpg", "b/2.jpg"]).succeeds();
 }

@@ -307,3 +307,17 @@ fn overview(page: &NodeList) -> String {
     };
     format!("{}\n\n{}", cut(&summary, width()), list_of(shown))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_no_node_can_have_is_no_path() {
+        assert_eq!(path_of("cam-7").unwrap(), "/api/v1/nodes/cam-7");
+        for name in ["cam-7?old", "cam-7#old", "../cam-7", ""] {
+            let refused = path_of(name).unwrap_err().to_string();
+            assert!(refused.contains("node name"), "{refused}");
+        }
+    }
+}
