@@ -325,6 +325,7 @@ mod tests {
         assert_eq!(in_words(&error), expected);
     }
 
+    #[cfg(feature = "hub")]
     #[test]
     fn a_number_that_json_cannot_hold_is_refused_before_a_hub_is_asked() {
         for command in ["set-u nan", "set-u inf", "set-target recall=nan"] {

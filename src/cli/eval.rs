@@ -142,7 +142,12 @@ struct RunArguments {
     out: Option<PathBuf>,
 }
 
-/// Runs the command; tables go to standard output, everything else to standard error.
+/// Names of settings in a report.
+const CROWDS: &str = "Boxes on crowds, distractors and ignored regions";
+const FRAME_RATE: &str = "Frame rate";
+const FRAMES_JUDGED: &str = "Frames judged";
+
+/// Runs the command; results go to standard output, notes, progress and places of files to standard error.
 ///
 /// # Errors
 /// When data cannot be read, an argument is invalid, or a file cannot be written.
@@ -250,10 +255,14 @@ fn print(report: &Report, streams: &[StreamResults], arguments: &RunArguments) {
     for sentence in conclusion(&report.policies) {
         println!("{}", wrapped(&sentence, width));
     }
-    // The figures mean something else under other values of these, and do not show them.
+    // The tables do not show these settings, and their figures depend on them.
     for (name, value) in &report.settings {
-        let is_partial = name == "Frames judged" && value != ALL;
-        if name.starts_with("Boxes on crowds") || name == "Frame rate" || is_partial {
+        let is_printed = match name.as_str() {
+            CROWDS | FRAME_RATE => true,
+            FRAMES_JUDGED => value != ALL,
+            _ => false,
+        };
+        if is_printed {
             println!("{}", wrapped(&format!("{name}: {value}."), width));
         }
     }
@@ -390,9 +399,9 @@ fn listed(
         ("Profile", profile.to_owned()),
         ("Detector confidence", format!("at least {confidence}")),
         ("Boxes judged", judged),
-        ("Boxes on crowds, distractors and ignored regions", rules),
-        ("Frame rate", rates(results)),
-        ("Frames judged", frames_judged(results)),
+        (CROWDS, rules),
+        (FRAME_RATE, rates(results)),
+        (FRAMES_JUDGED, frames_judged(results)),
         ("Empty-scene screen", settings.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),

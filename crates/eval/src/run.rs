@@ -84,8 +84,8 @@ fn in_parallel<'a>(
     Ok(results.into_iter().map(|(_, result)| result).collect())
 }
 
-/// Creates the error for a clip that lacks the evidence that a policy needs.
-fn no_evidence(clip: &Clip, policy: &PolicySpec, error: EvalError) -> EvalError {
+/// Says under which policy and on which clip an error occurred.
+fn on_clip(error: EvalError, policy: &PolicySpec, clip: &Clip) -> EvalError {
     error.context(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
@@ -101,7 +101,7 @@ fn run_policy(
     let mut decider = policy.build(clip.frame_rate)?;
     let profile = profile_of(decider.name(), settings.profile);
     let mut source =
-        StoredEvidence::new(clip, settings).map_err(|error| no_evidence(clip, policy, error))?;
+        StoredEvidence::new(clip, settings).map_err(|error| on_clip(error, policy, clip))?;
     let replayed = replay(
         decider.as_mut(),
         &mut source,
@@ -109,7 +109,7 @@ fn run_policy(
         settings.min_confidence(),
         settings.traces.is_some(),
     )
-    .map_err(|error| no_evidence(clip, policy, error))?;
+    .map_err(|error| on_clip(error, policy, clip))?;
     if let (Some(folder), Some(frames)) = (&settings.traces, &replayed.trace) {
         let file = format!("{}.jsonl.gz", clip.name);
         trace::write(&folder.join(&policy.label).join(file), frames)?;
@@ -119,7 +119,7 @@ fn run_policy(
     if let Some(objects) = &clip.truth {
         let mut ignored = Cow::Borrowed(&clip.ignored);
         if profile == Profile::Reference {
-            // The published evaluator has no ignored regions.
+            // The published evaluator knows no ignored regions; frames that nobody labelled are left out all the same.
             only_unlabelled(ignored.to_mut());
         }
         let truth = Truth {
@@ -149,7 +149,8 @@ fn run_policy(
 }
 
 /// Returns the profile by which a policy is judged in a run of `profile`. Policies that are not from the paper have no
-/// published definition of their boxes and confidences, so they are judged by the boxes that they report.
+/// published definition of their boxes and confidences, so they are judged by the boxes that they report: under the profile
+/// `paper`.
 fn profile_of(policy: &str, profile: Profile) -> Profile {
     match policy {
         ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {

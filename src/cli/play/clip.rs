@@ -60,7 +60,7 @@ impl Loaded {
         };
         Some(format!(
             "{name}: {unusable} of {all} cannot be used: {it_counts} as a frame without boxes for every policy that looks at \
-             it. Repair or leave out what `albireo detect` names. The first: {first}"
+             it. Repair or leave out such pictures. The first: {first}"
         ))
     }
 }
@@ -123,11 +123,7 @@ pub(in crate::cli) fn load(
         }
         pictures.push(picture);
     }
-    let mut is_cut = false;
-    if pictures.len() == most {
-        // A picture that cannot be read is one, too.
-        is_cut = !matches!(source.next(), Ok(None));
-    }
+    let is_cut = pictures.len() == most && has_more(&mut *source);
     let Some(first) = pictures.first() else {
         bail!("{}: it has no frames", source.name());
     };
@@ -137,6 +133,14 @@ pub(in crate::cli) fn load(
         pictures: Pictures::in_memory(source.name().to_owned(), pictures, source.rate()),
         unusable,
     })
+}
+
+/// Reads on, and tells whether there is another picture; one that cannot be read is one, too.
+fn has_more(source: &mut dyn FrameSource) -> bool {
+    match source.next() {
+        Ok(None) => false,
+        Ok(Some(_)) | Err(_) => true,
+    }
 }
 
 #[cfg(test)]
@@ -157,8 +161,14 @@ mod tests {
             let loaded = load(Box::new(road.clone()), Extent::Seconds(seconds)).unwrap();
             assert_eq!(loaded.pictures.frames(), Some(frames), "{seconds}");
             assert_eq!(loaded.is_cut, is_cut, "{seconds}");
-            assert_eq!(loaded.warning(), None);
         }
+    }
+
+    #[test]
+    fn a_clip_whose_pictures_can_all_be_used_has_no_warning() {
+        let road = Pictures::in_memory("road".to_owned(), first_pictures(2), 10.0);
+        let loaded = load(Box::new(road), Extent::Whole).unwrap();
+        assert_eq!(loaded.warning(), None);
     }
 
     #[test]

@@ -79,13 +79,13 @@ pub(super) fn summarise(setup_runs: &SetupRuns) -> SetupSummary {
     let mut by_policy = by_policy(runs, |run| &run.policy);
     by_policy.sort_by_key(|(policy, _)| *policy != BASELINE);
     let baseline = of_baseline(&by_policy, |run| &run.clip);
-    let policies = by_policy.iter().map(|(policy, runs)| {
+    let policies = by_policy.iter().map(|(policy, of_policy)| {
         let change = if *policy == BASELINE {
             None
         } else {
-            changes(runs, &baseline)
+            changes(of_policy, &baseline)
         };
-        figures(policy, runs, change)
+        figures(policy, of_policy, change)
     });
     SetupSummary {
         title: setup.title(),
@@ -96,10 +96,11 @@ pub(super) fn summarise(setup_runs: &SetupRuns) -> SetupSummary {
 
 /// What the joules of these runs include, and whether they are measured; empty without energy.
 fn energy_of(runs: &[ClipRun]) -> String {
-    let Some(run) = runs.iter().find(|run| run.joules.is_some()) else {
+    let mut with_joules = runs.iter().filter(|run| run.joules.is_some());
+    let is_estimated = with_joules.clone().any(|run| run.estimated);
+    let Some(run) = with_joules.next() else {
         return String::new();
     };
-    let is_estimated = runs.iter().any(|run| run.estimated);
     let how = if is_estimated {
         "estimated"
     } else {
@@ -112,7 +113,7 @@ fn energy_of(runs: &[ClipRun]) -> String {
 fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFigures {
     let mean_if_known =
         |figure: &dyn Fn(&ClipRun) -> Option<f64>| mean(runs.iter().filter_map(|run| figure(run)));
-    // A mean over only some of the clips would not be that of the others.
+    // A mean over only some of the clips cannot be set beside that of a policy with all of them.
     let mean_if_all_known = |figure: &dyn Fn(&ClipRun) -> Option<f64>| {
         if runs.iter().all(|run| figure(run).is_some()) {
             mean_if_known(figure)
@@ -158,7 +159,8 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
 }
 
 impl SetupSummary {
-    /// True for each policy that no other beats in both AP@50 and EDP; for none without both figures.
+    /// True for each policy if no other has at least its AP@50 and at most its EDP, and is better in one of the two; for none
+    /// without both figures.
     pub(super) fn on_frontier(&self) -> Vec<bool> {
         let figures = |policy: &PolicyFigures| Some((policy.ap50?, policy.edp?));
         let known: Vec<(f64, f64)> = self.policies.iter().filter_map(figures).collect();
@@ -176,6 +178,12 @@ impl SetupSummary {
     }
 }
 
+/// A clip's runs under a policy, and under the baseline.
+struct RunPair<'a> {
+    own: &'a ClipRun,
+    before: &'a ClipRun,
+}
+
 /// A figure of a clip under a policy, and under the baseline.
 struct Pair {
     own: f64,
@@ -184,20 +192,20 @@ struct Pair {
 
 /// Compares runs with the baseline's on the same clips; `None` if there are no such clips.
 fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Changes> {
-    let mut pairs: Vec<(&ClipRun, &ClipRun)> = Vec::new();
-    for run in runs {
-        if let Some(before) = baseline.get(run.clip.as_str()) {
-            pairs.push((*run, *before));
+    let mut run_pairs: Vec<RunPair<'_>> = Vec::new();
+    for &own in runs {
+        if let Some(&before) = baseline.get(own.clip.as_str()) {
+            run_pairs.push(RunPair { own, before });
         }
     }
-    if pairs.is_empty() {
+    if run_pairs.is_empty() {
         return None;
     }
     let both = |figure: &dyn Fn(&ClipRun) -> Option<f64>| -> Vec<Pair> {
-        let known = pairs.iter().filter_map(|(run, before)| {
+        let known = run_pairs.iter().filter_map(|runs| {
             Some(Pair {
-                own: figure(run)?,
-                before: figure(before)?,
+                own: figure(runs.own)?,
+                before: figure(runs.before)?,
             })
         });
         known.collect()
@@ -215,12 +223,15 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
     let ap50 = both(&|run| run.ap50);
     let joules = both(&|run| run.joules);
     let times = both(&|run| Some(run.frame_ms));
-    // Of the same clips as the joules.
-    let times_of_joules = both(&|run| run.joules.and(Some(run.frame_ms)));
+    // The EDP multiplies means over the same clips: times of those only whose joules are known.
+    let times_of_joules = both(&|run| run.joules.map(|_| run.frame_ms));
     let edp = |figure: fn(&Pair) -> f64| {
-        Some(mean(joules.iter().map(figure))? * mean(times_of_joules.iter().map(figure))?)
+        let mean_joules = mean(joules.iter().map(figure))?;
+        let mean_ms = mean(times_of_joules.iter().map(figure))?;
+        Some(mean_joules * mean_ms)
     };
-    let edps = edp(|pair| pair.own).zip(edp(|pair| pair.before));
+    let edp_before = edp(|pair| pair.before).filter(|before| *before > 0.0);
+    let edps = edp(|pair| pair.own).zip(edp_before);
     let one_if_saved = |pair: &Pair| if pair.own < pair.before { 1.0 } else { 0.0 };
     Some(Changes {
         map: points(&both(&|run| run.map)),
@@ -233,7 +244,7 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
     })
 }
 
-/// Counts the clips whose AP@50 did not fall.
+/// Counts the clips whose AP@50 did not fall, and takes the median drop of the others.
 fn clips_of(ap50: &[Pair]) -> Option<ClipsOfAp> {
     if ap50.is_empty() {
         return None;
@@ -308,14 +319,18 @@ fn joules_of_clips(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Vec<ClipJo
         let runs = setup.runs.iter().filter(|run| run.policy == policy);
         runs.filter_map(|run| Some((run.clip.clone(), run.joules?))).collect()
     };
-    let skipping = joules(from, policy);
-    let other = joules(to, BASELINE);
-    let both = joules(to, policy);
+    let all_skipping = joules(from, policy);
+    let all_other = joules(to, BASELINE);
+    let all_both = joules(to, policy);
     let mut clips = Vec::new();
     for (clip, base) in joules(from, BASELINE) {
-        let (Some(&skipping), Some(&other), Some(&both)) =
-            (skipping.get(&clip), other.get(&clip), both.get(&clip))
-        else {
+        let Some(&skipping) = all_skipping.get(&clip) else {
+            continue;
+        };
+        let Some(&other) = all_other.get(&clip) else {
+            continue;
+        };
+        let Some(&both) = all_both.get(&clip) else {
             continue;
         };
         // The logarithm of their quotients is taken.
@@ -346,9 +361,8 @@ fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition
     let logs: Vec<f64> = clips
         .iter()
         .map(|clip| {
-            let skipping = (clip.skipping / clip.base).ln();
-            let other = (clip.other / clip.base).ln();
-            (clip.both / clip.base).ln() - skipping - other
+            let log_of = |joules: f64| (joules / clip.base).ln();
+            log_of(clip.both) - log_of(clip.skipping) - log_of(clip.other)
         })
         .collect();
     let log = Difference::of(&logs)?;

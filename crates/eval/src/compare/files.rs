@@ -98,21 +98,33 @@ mod tests {
     use super::super::summary::tests::{comparison, run};
     use super::*;
 
+    /// The cell of a run in this column.
+    fn cell(played: &Run, column: &str) -> String {
+        let row = row(&comparison(&["albireo"], Vec::new()), played);
+        let (_, text) = row.into_iter().find(|(name, _)| *name == column).unwrap();
+        text
+    }
+
     #[test]
-    fn a_duration_without_a_frame_or_a_detector_call_is_an_empty_cell() {
+    fn a_duration_is_shown_if_there_is_one() {
         let mut played = run(0, 0, 40, None);
         played.report.total_latency_ms = Percentiles {
             count: 100,
             p95: 31.5,
             ..Percentiles::default()
         };
-        let cell = |run: &Run, name: &str| {
-            let row = row(&comparison(&["albireo"], Vec::new()), run);
-            let (_, cell) = row.into_iter().find(|(known, _)| *known == name).unwrap();
-            cell
+        played.report.detector_latency_ms = Percentiles {
+            count: 60,
+            mean: 20.0,
+            ..Percentiles::default()
         };
         assert_eq!(cell(&played, "frame_ms_p95"), "31.5");
         assert_eq!(cell(&played, "detector_ms_mean"), "20");
+    }
+
+    #[test]
+    fn a_duration_without_a_frame_or_a_detector_call_is_an_empty_cell() {
+        let mut played = run(0, 0, 40, None);
         played.report.total_latency_ms = Percentiles::default();
         played.report.detector_latency_ms = Percentiles::default();
         assert_eq!(cell(&played, "frame_ms_p95"), "");

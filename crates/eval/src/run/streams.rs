@@ -6,7 +6,7 @@
 
 mod run_times;
 
-use super::{in_parallel, no_evidence};
+use super::{in_parallel, on_clip};
 use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
@@ -90,12 +90,12 @@ fn run_clip(
     let policy = spec.build(clip.frame_rate)?;
     let Some(rate) = clip.frame_rate.filter(|rate| *rate > 0.0) else {
         let what = "frames have no times, as the data has no frame rate: give it with --rate";
-        return Err(no_evidence(clip, spec, EvalError::new(what)));
+        return Err(on_clip(EvalError::new(what), spec, clip));
     };
     let mut evidence =
-        StoredEvidence::new(clip, settings).map_err(|error| no_evidence(clip, spec, error))?;
+        StoredEvidence::new(clip, settings).map_err(|error| on_clip(error, spec, clip))?;
     let published = publish(policy, &mut evidence, stream, 1.0 / rate)
-        .map_err(|error| no_evidence(clip, spec, error))?;
+        .map_err(|error| on_clip(error, spec, clip))?;
     let mut result = ClipResult {
         clip: clip.name.clone(),
         policy: spec.label.clone(),

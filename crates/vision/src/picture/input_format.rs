@@ -260,6 +260,17 @@ impl InputMapping {
         let y2 = (corners.y2 - self.offset_y) / self.height;
         BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1)
     }
+
+    /// The corners in input pixels of a box in normalised coordinates of the source picture.
+    pub(crate) fn to_input(self, bounding_box: BoundingBox) -> Corners {
+        let Corners { x1, y1, x2, y2 } = bounding_box.corners();
+        Corners {
+            x1: x1 * self.width + self.offset_x,
+            y1: y1 * self.height + self.offset_y,
+            x2: x2 * self.width + self.offset_x,
+            y2: y2 * self.height + self.offset_y,
+        }
+    }
 }
 
 /// The position of the resized picture in the input.
