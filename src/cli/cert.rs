@@ -2,7 +2,7 @@
 
 use albireo_router::authority::{Authority, DAY, Issued, Role};
 use albireo_service::clock::unix_milliseconds;
-use anyhow::{Context, bail, ensure};
+use anyhow::bail;
 use clap::Subcommand;
 use std::path::PathBuf;
 
@@ -44,14 +44,6 @@ pub(super) struct AuthorityPlace {
 
 impl AuthorityPlace {
     pub(super) fn open(&self) -> anyhow::Result<Authority> {
-        let shown = self.folder.display();
-        let certificate = self.folder.join("authority.pem");
-        let is_there =
-            certificate.try_exists().with_context(|| certificate.display().to_string())?;
-        ensure!(
-            is_there,
-            "no authority in {shown}; create one with `albireo cert authority --folder {shown}`"
-        );
         Ok(Authority::open(&self.folder)?)
     }
 }

@@ -93,8 +93,8 @@ pub(super) struct DetectArguments {
 }
 
 pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
-    // Loading takes seconds for a large model, and minutes for TensorRT.
     let files = pictures(arguments)?;
+    // Loading takes seconds for a large model, and minutes for TensorRT.
     let loading = spinner(format!("loading {}", arguments.model.display()));
     let opened = DetectorNetwork::open(&configuration(arguments));
     loading.finish_and_clear();
@@ -160,13 +160,13 @@ fn pictures(arguments: &DetectArguments) -> anyhow::Result<Vec<PathBuf>> {
     for path in &arguments.pictures {
         files.extend(picture_files(path)?);
     }
-    let mut by_name: HashMap<_, &PathBuf> = HashMap::new();
+    let mut by_name: HashMap<PathBuf, &PathBuf> = HashMap::new();
     for file in &files {
+        // Pictures whose drawn files differ have inputs of different names, too.
         let name = if arguments.out.is_some() {
-            // Written as JPEG, whatever it is.
-            file.file_stem()
+            drawn_name(file)
         } else if arguments.write_input.is_some() {
-            file.file_name()
+            input_name(file)
         } else {
             break;
         };
@@ -332,15 +332,25 @@ fn detect(
         write_drawn(folder, file, encoded, &found)?;
     }
     if let Some(folder) = &arguments.write_input {
-        let mut name = file.file_name().unwrap_or_default().to_owned();
-        name.push(".f32");
         // What the model takes, also where a GPU would make it from the prepared pixels.
         let input = prepared.converted(network.input_format())?;
         let values = input.tensor().to_floats();
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        write(&in_folder(folder, name.as_ref())?, &bytes)?;
+        write(&in_folder(folder, &input_name(file))?, &bytes)?;
     }
     Ok(())
+}
+
+/// The name under which a picture is written with its boxes: as JPEG, whatever it is.
+fn drawn_name(picture: &Path) -> PathBuf {
+    Path::new(picture.file_name().unwrap_or_default()).with_extension("jpg")
+}
+
+/// The name under which the input that is made of a picture is written.
+fn input_name(picture: &Path) -> PathBuf {
+    let mut name = picture.file_name().unwrap_or_default().to_owned();
+    name.push(".f32");
+    name.into()
 }
 
 /// Returns the place of a file in a folder, which is created if needed.
@@ -385,8 +395,7 @@ fn write_drawn(
         size: picture.size,
         mount: None,
     };
-    let name = Path::new(file.file_name().unwrap_or_default()).with_extension("jpg");
-    let target = in_folder(folder, &name)?;
+    let target = in_folder(folder, &drawn_name(file))?;
     // A target that does not exist yet has no canonical path, and cannot be the picture.
     if let (Ok(source), Ok(existing)) = (file.canonicalize(), target.canonicalize()) {
         ensure!(

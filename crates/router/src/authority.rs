@@ -82,8 +82,15 @@ impl Authority {
     /// # Errors
     /// [`RouterError`] if there is none or its files cannot be read.
     pub fn open(folder: &Path) -> Result<Self, RouterError> {
-        let list = List::open(folder)?;
         let file = folder.join(AUTHORITY);
+        // Before the list, whose lock is a file: a look into another folder leaves nothing there.
+        if !file.try_exists().map_err(at(&file))? {
+            let shown = folder.display();
+            return other(format!(
+                "no authority in {shown}; create one with `albireo cert authority --folder {shown}`"
+            ));
+        }
+        let list = List::open(folder)?;
         let name = subject(&file)?;
         let key_file = folder.join(AUTHORITY_KEY);
         let key = KeyPair::from_pem(&read(&key_file)?).map_err(at(&key_file))?;

@@ -24,6 +24,7 @@ mod stream;
 
 pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
 pub use fault::FrameFault;
+pub(crate) use files::is_hidden;
 pub use files::{PictureFileError, is_picture_file, natural_key, picture_files, read_picture_file};
 pub use format::{BayerPattern, EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};

@@ -4,6 +4,7 @@
 mod name;
 mod probe;
 
+use crate::picture::is_hidden;
 use glob::MatchOptions;
 use name::FileName;
 pub use probe::frame_rate;
@@ -42,8 +43,7 @@ pub fn are_several(text: &str) -> bool {
 pub fn is_video_file(path: &Path) -> bool {
     let ending = path.extension().and_then(OsStr::to_str).unwrap_or_default();
     let has_known_ending = ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
-    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
-    has_known_ending && !is_hidden && !path.is_dir()
+    has_known_ending && !is_hidden(path) && !path.is_dir()
 }
 
 /// The video files that a folder or a pattern names, in the order in which they were recorded: by the times in their names,

@@ -2,7 +2,7 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::{Blocks, Trial, refused, try_out};
+use super::trial::{Trial, refused, try_out};
 use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
@@ -10,7 +10,7 @@ use crate::settings::ScreenRule;
 use crate::settings::Settings;
 use albireo_core::policy::{ExpectedLoss, PolicyConfig, ThresholdSpec, short};
 use albireo_core::target::ThresholdRange;
-use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use serde::Serialize;
 
 /// The number of threshold values that are tried.
@@ -177,13 +177,13 @@ impl Search<'_> {
     /// Returns the index of the best trial that meets the target; `trials` begin with the one that skips least. For a skip
     /// rate, it is the first that meets it. For a recall, it is the last before the first whose recall is too low, so that one
     /// lucky value after bad ones is not chosen. (Trials that skip too few frames for a narrow interval do not stop it.)
-    fn best_trial(&self, trials: &[Blocks]) -> Option<usize> {
-        let meets = |trial: &Blocks| trial.meets(self.target, self.least_precision);
+    fn best_trial(&self, trials: &[Trial]) -> Option<usize> {
+        let meets = |trial: &Trial| trial.meets(self.target, self.least_precision);
         match self.target {
             Target::SkipRate(_) => trials.iter().position(meets),
             Target::Recall(least) => {
                 let reaches =
-                    |trial: &&Blocks| trial.recall().is_none_or(|recall| recall.value >= least);
+                    |trial: &&Trial| trial.recall().is_none_or(|recall| recall.value >= least);
                 let run = trials.iter().take_while(reaches).count();
                 trials[..run].iter().rposition(meets)
             }
@@ -191,17 +191,18 @@ impl Search<'_> {
     }
 
     fn propose(&self) -> Result<Proposal, EvalError> {
-        let mut trials = values(&self.config.name, &self.spec)
-            .into_par_iter()
-            .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
+        let mut values = values(&self.config.name, &self.spec);
+        let mut trials = values
+            .par_iter()
+            .map(|&value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
-        let skip_rate = |trial: &Trial| trial.blocks.skip_rate().map_or(0.0, |rate| rate.value);
+        let skip_rate = |trial: &Trial| trial.skip_rate().map_or(0.0, |rate| rate.value);
         // Of some policies (`ctd`) a lower threshold skips more.
         if skip_rate(&trials[0]) > skip_rate(&trials[trials.len() - 1]) {
+            values.reverse();
             trials.reverse();
         }
-        let whole = trials.iter().map(|trial| trial.blocks.clone()).collect::<Vec<_>>();
-        let best = self.best_trial(&whole);
+        let best = self.best_trial(&trials);
         // If no trial meets the target, propose the one that comes nearest.
         let nearest = match self.target {
             Target::Recall(_) => 0,
@@ -210,24 +211,26 @@ impl Search<'_> {
                 enough.unwrap_or(trials.len() - 1)
             }
         };
-        let Trial { value, blocks } = &trials[best.unwrap_or(nearest)];
+        let chosen = best.unwrap_or(nearest);
+        let value = values[chosen];
+        let trial = &trials[chosen];
         Ok(Proposal {
             policy: self.config.name.clone(),
             threshold: self.spec.name,
-            value: *value,
+            value,
             screen: self.screen,
             meets_target: best.is_some(),
-            skip_rate: blocks.skip_rate(),
-            recall: blocks.recall(),
-            precision: blocks.precision(),
-            held_out: self.held_out(&whole),
-            node_toml: self.node_toml(*value),
+            skip_rate: trial.skip_rate(),
+            recall: trial.recall(),
+            precision: trial.precision(),
+            held_out: self.held_out(&trials),
+            node_toml: self.node_toml(value),
         })
     }
 
     /// Chooses a value on each half of the blocks and tries it on the other half.
-    fn held_out(&self, trials: &[Blocks]) -> Option<HeldOut> {
-        let mut unseen = Blocks::default();
+    fn held_out(&self, trials: &[Trial]) -> Option<HeldOut> {
+        let mut unseen = Trial::default();
         for parity in [0, 1] {
             let seen: Vec<_> = trials.iter().map(|trial| trial.half(parity)).collect();
             let chosen = self.best_trial(&seen)?;

@@ -64,9 +64,8 @@ pub fn render(advice: &Advice, width: usize) -> String {
     ];
     text.push_str(&fitted(&columns, "  ", width));
     if advice.proposals.iter().any(|found| !found.meets_target) {
-        text.push_str(
-            "-: does not meet target and precision; the value in the threshold's range that comes nearest\n",
-        );
+        let meaning = "-: does not meet target and precision; the value in the threshold's range that comes nearest";
+        let _ = writeln!(text, "{}", wrapped(meaning, width));
     }
     text.push('\n');
     for sentence in sentences(advice) {

@@ -42,19 +42,11 @@ impl Block {
     }
 }
 
-/// The outcome of one value on a recording.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Trial {
-    /// The value of the threshold.
-    pub value: f64,
-    pub blocks: Blocks,
-}
-
-/// The counts of a recording or of a part of it, block by block.
+/// The outcome of one value on a recording, or on a part of it: the counts of its blocks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Blocks(Vec<Block>);
+pub(super) struct Trial(Vec<Block>);
 
-impl Blocks {
+impl Trial {
     /// Every second block: those whose index is `parity` modulo 2.
     pub(super) fn half(&self, parity: usize) -> Self {
         Self(self.0.iter().skip(parity).step_by(2).copied().collect())
@@ -84,7 +76,7 @@ impl Blocks {
         self.ratio(|block| [block.skipped.into(), block.frames.into()])
     }
 
-    /// True if they meet `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
+    /// True if this meets `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
     pub(super) fn meets(&self, target: Target, least_precision: f64) -> bool {
         // If nothing was shown on the skipped frames, nothing was wrong.
         let is_precise = self.precision().is_none_or(|precision| precision.low >= least_precision);
@@ -132,8 +124,5 @@ pub(super) fn try_out(
         }
         blocks.extend(own);
     }
-    Ok(Trial {
-        value,
-        blocks: Blocks(blocks),
-    })
+    Ok(Trial(blocks))
 }

@@ -159,13 +159,17 @@ fn another_precision_has_a_file_of_its_own() {
     drop(opened(folder.path(), &other).unwrap());
 }
 
+/// Writes a file of one run, and returns its path.
+fn file_with_a_run(folder: &Path) -> PathBuf {
+    let mut file = opened(folder, &setup()).unwrap();
+    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
+    file.path().to_owned()
+}
+
 #[test]
 fn a_restart_keeps_the_runs_before_in_a_file_beside() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = opened(folder.path(), &setup()).unwrap();
-    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
-    let path = file.path().to_owned();
-    drop(file);
+    let path = file_with_a_run(folder.path());
     let before = fs::read(&path).unwrap();
     let other = changed(FRAMES, Some("paced"));
     let restart = true;
@@ -182,10 +186,7 @@ fn a_restart_keeps_the_runs_before_in_a_file_beside() {
 #[test]
 fn a_restart_that_was_stopped_before_its_first_run_leaves_the_runs_that_were_kept() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = opened(folder.path(), &setup()).unwrap();
-    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
-    let path = file.path().to_owned();
-    drop(file);
+    let path = file_with_a_run(folder.path());
     let before = fs::read(&path).unwrap();
     for _ in 0..2 {
         let restart = true;

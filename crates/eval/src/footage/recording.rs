@@ -62,10 +62,10 @@ impl Contents {
         }
         let mut topics = Vec::new();
         let mut audited = Vec::new();
-        for (name, pictures) in pictures {
+        for (name, count) in pictures {
             let topic = PictureTopic {
                 name: name.to_owned(),
-                pictures,
+                pictures: count,
             };
             match Topic::parse(name) {
                 Some((_, Topic::AuditImage)) => audited.push(topic),

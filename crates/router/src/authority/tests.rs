@@ -120,3 +120,14 @@ fn neither_a_second_authority_nor_an_unreadable_list_overwrites_the_first() {
         assert_eq!(std::fs::read_to_string(&list).unwrap(), text);
     }
 }
+
+#[test]
+fn a_look_for_an_authority_where_there_is_none_leaves_nothing_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = Authority::open(folder.path()).err().unwrap().to_string();
+    assert!(
+        refused.contains("albireo cert authority --folder"),
+        "{refused}"
+    );
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}

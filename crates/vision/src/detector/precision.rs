@@ -184,8 +184,10 @@ impl PrecisionProof {
         found: &[Detection],
     ) -> Option<JoinHandle<()>> {
         if provider == ExecutionProvider::Cpu {
-            *self.compared.lock() = None;
-            *self.outcome.lock() = Precision::NotCompared;
+            let compared_last = self.compared.lock().take();
+            if compared_last.is_some() {
+                *self.outcome.lock() = Precision::NotCompared;
+            }
             return None;
         }
         if found.is_empty() {

@@ -24,10 +24,14 @@ impl PictureFileError {
 /// True if the file's name is that of a JPEG or PNG file. Hidden files are none: a Mac writes `._1.jpg` beside `1.jpg` on
 /// cards and into archives.
 pub fn is_picture_file(path: &Path) -> bool {
-    let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
     let is_known = ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known));
-    is_known && !is_hidden
+    is_known && !is_hidden(path)
+}
+
+/// True if the file's name begins with a dot.
+pub(crate) fn is_hidden(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
 }
 
 /// Returns the JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`), or

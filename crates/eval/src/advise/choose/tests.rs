@@ -248,3 +248,11 @@ fn few_clips_are_called_few() {
     let text = render(&precise(ANY_PRECISION), WIDTH);
     assert!(text.contains("Only 1 clip of 600"), "{text}");
 }
+
+#[test]
+fn the_text_of_a_target_that_is_not_met_fits_a_narrow_terminal() {
+    let text = render(&precise(0.9999), 60);
+    for line in text.lines() {
+        assert!(line.chars().count() <= 60, "{line}");
+    }
+}

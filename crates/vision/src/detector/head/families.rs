@@ -199,6 +199,13 @@ fn is_cells(side: i64, size: PictureSize) -> bool {
     side != -1 && YOLO_STRIDES.iter().any(|strides| can_be(side, cells(size, strides)))
 }
 
+/// How many numbers YOLO has for each anchor by the names of the classes in the metadata: they leave no doubt, whatever
+/// strides the model has.
+fn numbers_by_names(signature: &Signature) -> Option<usize> {
+    let names = signature.metadata.class_names().ok()??;
+    Some(BEFORE_CLASSES + names.len())
+}
+
 /// True if an output of YOLO with these sides has a row per anchor; otherwise it has a row per number.
 fn has_row_per_anchor(first: i64, second: i64, signature: &Signature, size: PictureSize) -> bool {
     let first_is_cells = is_cells(first, size);
@@ -206,12 +213,10 @@ fn has_row_per_anchor(first: i64, second: i64, signature: &Signature, size: Pict
     if first_is_cells != second_is_cells {
         return first_is_cells;
     }
-    // As many names as classes leave no doubt, whatever strides the model has.
-    if let Ok(Some(names)) = signature.metadata.class_names() {
-        let numbers = BEFORE_CLASSES + names.len();
-        if count(first) == numbers || count(second) == numbers {
-            return count(first) != numbers;
-        }
+    if let Some(numbers) = numbers_by_names(signature)
+        && (count(first) == numbers || count(second) == numbers)
+    {
+        return count(first) != numbers;
     }
     // The open side is that of the anchors.
     first == -1 && !second_is_cells && count(second) > BEFORE_CLASSES
@@ -260,12 +265,10 @@ fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<St
     let [_, first, second] = *signature.outputs.get(index)?.shape.as_slice() else {
         return None;
     };
-    // As many names as classes leave no doubt, whatever strides the model has.
-    if let Ok(Some(names)) = signature.metadata.class_names() {
-        let numbers = BEFORE_CLASSES + names.len();
+    if let Some(numbers) = numbers_by_names(signature) {
         // Some hundred rows may be those of RT-DETR.
-        let has_row_per_anchor = count(second) == numbers && first > MOST_BOXES;
-        if count(first) == numbers || has_row_per_anchor {
+        let are_rows = count(second) == numbers && first > MOST_BOXES;
+        if count(first) == numbers || are_rows {
             return None;
         }
     }
