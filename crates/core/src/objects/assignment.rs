@@ -10,19 +10,34 @@ pub(crate) const LARGEST_COST: f64 = 1e100;
 
 const NONE: usize = usize::MAX;
 
+/// A row of the matrix.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    dual: f64,
+    /// The column that it is paired with.
+    column: usize,
+}
+
+/// A column of the matrix.
+#[derive(Clone, Copy, Debug)]
+struct Column {
+    dual: f64,
+    /// The row that it is paired with.
+    row: usize,
+    /// The shortest distance that the search has found so far, and the row before the column on that path.
+    shortest: f64,
+    previous_row: usize,
+}
+
 /// The solver with its buffers, which are reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AssignmentSolver {
     transposed_cost: Vec<f64>,
-    row_dual: Vec<f64>,
-    column_dual: Vec<f64>,
-    shortest: Vec<f64>,
-    previous_row: Vec<usize>,
-    column_of_row: Vec<usize>,
-    row_of_column: Vec<usize>,
-    row_visited: Vec<bool>,
-    column_visited: Vec<bool>,
+    rows: Vec<Row>,
+    columns: Vec<Column>,
+    /// The columns that the search has not reached, and those that it has, in order.
     remaining: Vec<usize>,
+    reached: Vec<usize>,
     pairs: Vec<(usize, usize)>,
 }
 
@@ -45,28 +60,35 @@ impl AssignmentSolver {
             }
             self.assign(columns, rows, &transposed);
             self.transposed_cost = transposed;
-            let assigned = self.column_of_row.iter().enumerate();
-            self.pairs.extend(assigned.map(|(row, &column)| (column, row)));
+            let assigned = self.rows.iter().enumerate();
+            self.pairs.extend(assigned.map(|(row, paired)| (paired.column, row)));
             self.pairs.sort_unstable();
         } else {
             self.assign(rows, columns, cost);
-            self.pairs.extend(self.column_of_row.iter().copied().enumerate());
+            let assigned = self.rows.iter().enumerate();
+            self.pairs.extend(assigned.map(|(row, paired)| (row, paired.column)));
         }
         &self.pairs
     }
 
-    /// Fills `column_of_row` for a matrix with at least as many columns as rows.
+    /// Pairs every row with a column, for a matrix with at least as many columns as rows.
     fn assign(&mut self, rows: usize, columns: usize, cost: &[f64]) {
-        refill(&mut self.row_dual, rows, 0.0);
-        refill(&mut self.column_dual, columns, 0.0);
-        refill(&mut self.shortest, columns, f64::INFINITY);
-        refill(&mut self.previous_row, columns, NONE);
-        refill(&mut self.column_of_row, rows, NONE);
-        refill(&mut self.row_of_column, columns, NONE);
-        refill(&mut self.row_visited, rows, false);
-        refill(&mut self.column_visited, columns, false);
+        let row = Row {
+            dual: 0.0,
+            column: NONE,
+        };
+        let column = Column {
+            dual: 0.0,
+            row: NONE,
+            shortest: f64::INFINITY,
+            previous_row: NONE,
+        };
+        self.rows.clear();
+        self.rows.resize(rows, row);
+        self.columns.clear();
+        self.columns.resize(columns, column);
         for row in 0..rows {
-            let (sink, distance) = self.shortest_augmenting_path(row, columns, cost);
+            let (sink, distance) = self.shortest_augmenting_path(row, cost);
             self.update_duals(row, distance);
             self.augment(row, sink);
         }
@@ -74,44 +96,41 @@ impl AssignmentSolver {
 
     /// Dijkstra's search over reduced costs from the free `start` row to the nearest free column. Returns that column
     /// and its distance. One always exists, as costs are finite and there are at least as many columns as rows.
-    fn shortest_augmenting_path(
-        &mut self,
-        start: usize,
-        columns: usize,
-        cost: &[f64],
-    ) -> (usize, f64) {
+    fn shortest_augmenting_path(&mut self, start: usize, cost: &[f64]) -> (usize, f64) {
+        let columns = self.columns.len();
         self.remaining.clear();
         // From the last column to the first: this order decides ties.
         self.remaining.extend((0..columns).rev());
-        self.row_visited.fill(false);
-        self.column_visited.fill(false);
-        self.shortest.fill(f64::INFINITY);
+        self.reached.clear();
+        for column in &mut self.columns {
+            column.shortest = f64::INFINITY;
+        }
         let mut row = start;
         let mut distance = 0.0;
         loop {
-            self.row_visited[row] = true;
             let row_cost = &cost[row * columns..(row + 1) * columns];
-            let row_dual = self.row_dual[row];
+            let row_dual = self.rows[row].dual;
             let mut lowest = f64::INFINITY;
             let mut nearest = 0;
-            for (index, &column) in self.remaining.iter().enumerate() {
+            for (index, &place) in self.remaining.iter().enumerate() {
+                let column = &mut self.columns[place];
                 // The order of these operations also affects ties.
-                let reduced = distance + row_cost[column] - row_dual - self.column_dual[column];
-                if reduced < self.shortest[column] {
-                    self.previous_row[column] = row;
-                    self.shortest[column] = reduced;
+                let reduced = distance + row_cost[place] - row_dual - column.dual;
+                if reduced < column.shortest {
+                    column.previous_row = row;
+                    column.shortest = reduced;
                 }
-                let shortest = self.shortest[column];
                 // Among equally near columns, a free one ends the search soonest.
-                if shortest < lowest || (shortest == lowest && self.row_of_column[column] == NONE) {
-                    lowest = shortest;
+                let is_free = column.row == NONE;
+                if column.shortest < lowest || (column.shortest == lowest && is_free) {
+                    lowest = column.shortest;
                     nearest = index;
                 }
             }
             distance = lowest;
             let column = self.remaining.swap_remove(nearest);
-            self.column_visited[column] = true;
-            match self.row_of_column[column] {
+            self.reached.push(column);
+            match self.columns[column].row {
                 NONE => return (column, distance),
                 next => row = next,
             }
@@ -120,15 +139,14 @@ impl AssignmentSolver {
 
     /// Keeps the reduced costs of the pairs zero and all others above it, as the next search needs.
     fn update_duals(&mut self, start: usize, distance: f64) {
-        self.row_dual[start] += distance;
-        for row in 0..self.row_dual.len() {
-            if self.row_visited[row] && row != start {
-                self.row_dual[row] += distance - self.shortest[self.column_of_row[row]];
-            }
-        }
-        for column in 0..self.column_dual.len() {
-            if self.column_visited[column] {
-                self.column_dual[column] -= distance - self.shortest[column];
+        self.rows[start].dual += distance;
+        for &column in &self.reached {
+            let column = &mut self.columns[column];
+            let lead = distance - column.shortest;
+            column.dual -= lead;
+            // The search went on from the column's row, and ended at the one without.
+            if column.row != NONE {
+                self.rows[column.row].dual += lead;
             }
         }
     }
@@ -137,19 +155,14 @@ impl AssignmentSolver {
     fn augment(&mut self, start: usize, sink: usize) {
         let mut column = sink;
         loop {
-            let row = self.previous_row[column];
-            self.row_of_column[column] = row;
-            std::mem::swap(&mut self.column_of_row[row], &mut column);
+            let row = self.columns[column].previous_row;
+            self.columns[column].row = row;
+            std::mem::swap(&mut self.rows[row].column, &mut column);
             if row == start {
                 return;
             }
         }
     }
-}
-
-fn refill<T: Copy>(buffer: &mut Vec<T>, length: usize, value: T) {
-    buffer.clear();
-    buffer.resize(length, value);
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 use super::AssignmentSolver;
 
 /// A pair that passed its gate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Edge {
     pub row: u32,
     pub column: u32,
@@ -59,6 +59,10 @@ impl ComponentSolver {
             let other = self.root(edge.row);
             self.parent[one.max(other) as usize] = one.min(other);
         }
+        // A parent comes before its rows, so it knows its root already.
+        for row in 0..rows {
+            self.parent[row] = self.parent[self.parent[row] as usize];
+        }
         let sorted = self.sorted_by_root(rows, edges);
         for component in sorted.chunk_by(|(one, _), (other, _)| one == other) {
             match component {
@@ -69,25 +73,24 @@ impl ComponentSolver {
         self.sorted = sorted;
     }
 
-    /// Returns the edges grouped by component, each with its root; within a component they keep their order. Sorted by
-    /// counting: roots are small numbers.
+    /// Returns the edges grouped by component, each with its root, the parent of its row; within a component they keep
+    /// their order. Sorted by counting: roots are small numbers.
     fn sorted_by_root(&mut self, rows: usize, edges: &[Edge]) -> Vec<(u32, Edge)> {
         self.place_of.clear();
         self.place_of.resize(rows + 1, 0);
-        let mut sorted = std::mem::take(&mut self.sorted);
-        sorted.clear();
         for edge in edges {
-            let root = self.root(edge.row);
+            let root = self.parent[edge.row as usize];
             self.place_of[root as usize + 1] += 1;
-            // Room for an edge; the second pass puts each in its place.
-            sorted.push((root, *edge));
         }
         // From counts to the places at which the components begin.
         for row in 0..rows {
             self.place_of[row + 1] += self.place_of[row];
         }
+        let mut sorted = std::mem::take(&mut self.sorted);
+        // Whatever is in it is overwritten.
+        sorted.resize(edges.len(), (NONE, Edge::default()));
         for edge in edges {
-            let root = self.root(edge.row);
+            let root = self.parent[edge.row as usize];
             let place = &mut self.place_of[root as usize];
             sorted[*place] = (root, *edge);
             *place += 1;

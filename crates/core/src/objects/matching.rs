@@ -33,6 +33,9 @@ pub struct Association {
     pub gate: GateOrder,
 }
 
+/// Cost in stage 1 of a pair that does not overlap.
+const APART: f64 = 1.0;
+
 /// Cost in stage 2 of a pair beyond the gate (published code).
 const BEYOND_GATE: f64 = 1e9;
 
@@ -40,10 +43,12 @@ const BEYOND_GATE: f64 = 1e9;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Matcher {
     pairing: Pairing,
-    /// Buffers for the case that all pairs compete: the candidate objects and detections, and their costs.
+    /// Buffers for the case that all pairs compete: the candidate objects and detections, the place of each detection
+    /// among the candidates, and the costs.
     full: AssignmentSolver,
     rows: Vec<usize>,
     columns: Vec<usize>,
+    column_of: Vec<usize>,
     matrix: Vec<f64>,
 }
 
@@ -59,13 +64,18 @@ impl Matcher {
         usable: impl Iterator<Item = bool>,
     ) -> &[Option<u32>] {
         self.pairing.begin(states.len(), detections, usable);
+        // If all pairs compete, each that overlaps at all has a cost of its own.
+        let least_overlap = match settings.gate {
+            GateOrder::BeforeAssignment => settings.iou_gate,
+            GateOrder::AfterAssignment => 0.0,
+        };
         let reach_by_overlap = |row: usize| {
             let state = &states[row];
             if state.since_update > settings.iou_frames {
                 return None;
             }
             let own = state.filter.bounding_box().corners();
-            Some(by_overlap(own, settings.iou_gate))
+            Some(by_overlap(own, least_overlap))
         };
         let overlaps_enough = |cost: f64| overlaps(cost, settings.iou_gate);
         self.stage(
@@ -73,21 +83,27 @@ impl Matcher {
             detections,
             reach_by_overlap,
             overlaps_enough,
-            |cost| cost,
+            APART,
         );
+        let is_near = |cost: f64| cost < settings.mahalanobis_gate;
         let reach_by_distance = |row: usize| {
             let gauge = states[row].filter.gauge(model);
-            let cost = move |other: BoundingBox| gauge.squared_distance(other);
+            let cost = move |_, other: BoundingBox| {
+                let distance = gauge.squared_distance(other);
+                if is_near(distance) {
+                    distance
+                } else {
+                    BEYOND_GATE
+                }
+            };
             Some((gauge.reach(settings.mahalanobis_gate), cost))
         };
-        let is_near = |cost: f64| cost < settings.mahalanobis_gate;
-        let competing = |cost: f64| if is_near(cost) { cost } else { BEYOND_GATE };
         self.stage(
             settings.gate,
             detections,
             reach_by_distance,
             is_near,
-            competing,
+            BEYOND_GATE,
         );
         self.pairing.detection_of()
     }
@@ -97,45 +113,75 @@ impl Matcher {
         self.pairing.is_free()
     }
 
-    /// Runs one stage: `reach` and `within` are those of [`Pairing::stage`], and `competing` maps a cost to its value
-    /// when all pairs compete.
-    fn stage<C: Fn(BoundingBox) -> f64>(
+    /// Runs one stage: `reach` and `within` are those of [`Pairing::stage`], and `far` is the cost of a box outside an
+    /// object's reach when all pairs compete.
+    fn stage<C: Fn(Corners, BoundingBox) -> f64>(
         &mut self,
         order: GateOrder,
         detections: &[Detection],
         reach: impl Fn(usize) -> Option<(Corners, C)>,
         within: impl Fn(f64) -> bool,
-        competing: impl Fn(f64) -> f64,
+        far: f64,
     ) {
-        if order == GateOrder::BeforeAssignment {
-            self.pairing.stage(detections, reach, within);
-            return;
+        match order {
+            GateOrder::BeforeAssignment => self.pairing.stage(detections, reach, within),
+            GateOrder::AfterAssignment => self.stage_of_all_pairs(detections, reach, within, far),
         }
-        self.rows.clear();
+    }
+
+    /// As [`stage`](Self::stage), with the whole matrix of costs: whatever is outside an object's reach costs `far`, so
+    /// only the costs within it are computed.
+    fn stage_of_all_pairs<C: Fn(Corners, BoundingBox) -> f64>(
+        &mut self,
+        detections: &[Detection],
+        reach: impl Fn(usize) -> Option<(Corners, C)>,
+        within: impl Fn(f64) -> bool,
+        far: f64,
+    ) {
+        let is_free = self.pairing.is_free();
         self.columns.clear();
-        self.matrix.clear();
-        for (column, is_free) in self.pairing.is_free().iter().enumerate() {
+        self.column_of.clear();
+        for (detection, is_free) in is_free.iter().enumerate() {
+            // Only the place of a free one is used.
+            self.column_of.push(self.columns.len());
             if *is_free {
-                self.columns.push(column);
+                self.columns.push(detection);
             }
         }
+        let columns = self.columns.len();
+        let near = self.pairing.near();
+        self.rows.clear();
+        self.matrix.clear();
         for (row, detection) in self.pairing.detection_of().iter().enumerate() {
             if detection.is_some() {
                 continue;
             }
-            if let Some((_, cost_of)) = reach(row) {
-                self.rows.push(row);
-                // Half the time of a push for each: the length is known, and there is a cost for every pair.
+            let Some((area, cost_of)) = reach(row) else {
+                continue;
+            };
+            self.rows.push(row);
+            if !near.is_selective() {
+                // Half the time of a visit to each box: the compiler computes several costs at once.
                 let boxes = self.columns.iter().map(|column| detections[*column].bounding_box);
-                self.matrix.extend(boxes.map(|of_column| competing(cost_of(of_column))));
+                self.matrix
+                    .extend(boxes.map(|of_column| cost_of(of_column.corners(), of_column)));
+                continue;
             }
+            let begin = self.matrix.len();
+            self.matrix.resize(begin + columns, far);
+            let of_row = &mut self.matrix[begin..];
+            near.visit(area, |detection, corners| {
+                let detection = detection as usize;
+                if is_free[detection] {
+                    let cost = cost_of(corners, detections[detection].bounding_box);
+                    of_row[self.column_of[detection]] = cost;
+                }
+            });
         }
-        let rows = &self.rows;
-        let columns = &self.columns;
         // Usable detections and live filters give finite costs; others would give no pairs.
-        for &(row, column) in self.full.solve(rows.len(), columns.len(), &self.matrix) {
-            if within(self.matrix[row * columns.len() + column]) {
-                self.pairing.pair(rows[row], columns[column]);
+        for &(row, column) in self.full.solve(self.rows.len(), columns, &self.matrix) {
+            if within(self.matrix[row * columns + column]) {
+                self.pairing.pair(self.rows[row], self.columns[column]);
             }
         }
     }

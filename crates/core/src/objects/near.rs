@@ -29,19 +29,25 @@ impl NearBoxes {
     pub(crate) fn fill(&mut self, boxes: impl Iterator<Item = (Corners, u32)>) {
         self.boxes.clear();
         self.boxes.extend(boxes);
-        if self.boxes.len() >= WORTH_WHILE {
+        if self.is_selective() {
             let boxes = self.boxes.iter();
             self.horizontal.fill(boxes.clone().map(|(b, _)| (b.x1, b.x2)));
             self.vertical.fill(boxes.map(|(b, _)| (b.y1, b.y2)));
         }
     }
 
-    /// Calls `visit` with the index of each box that overlaps `area`, and of some that do not, in the order in which they
+    /// False if there are so few boxes that [`visit`](Self::visit) visits all of them.
+    #[inline]
+    pub(crate) fn is_selective(&self) -> bool {
+        self.boxes.len() >= WORTH_WHILE
+    }
+
+    /// Calls `visit` with the index and the corners of each box that overlaps `area`, and of some that do not, in the order in which they
     /// were given.
     #[inline]
-    pub(crate) fn visit(&self, area: Corners, mut visit: impl FnMut(u32)) {
-        if self.boxes.len() < WORTH_WHILE {
-            self.boxes.iter().for_each(|(_, index)| visit(*index));
+    pub(crate) fn visit(&self, area: Corners, mut visit: impl FnMut(u32, Corners)) {
+        if !self.is_selective() {
+            self.boxes.iter().for_each(|(corners, index)| visit(*index, *corners));
             return;
         }
         let (left, right) = self.horizontal.sets(area.x1, area.x2);
@@ -50,8 +56,8 @@ impl NearBoxes {
         for (((left, right), (top, bottom)), boxes) in words.zip(self.boxes.chunks(WORD)) {
             let mut near = left & right & top & bottom;
             while near != 0 {
-                let (_, index) = boxes[near.trailing_zeros() as usize];
-                visit(index);
+                let (corners, index) = boxes[near.trailing_zeros() as usize];
+                visit(index, corners);
                 // Clears the lowest bit.
                 near &= near - 1;
             }
@@ -148,7 +154,7 @@ mod tests {
             boxes.fill(many.iter().copied());
             for (one, _) in ones.iter().chain(&many) {
                 let mut near = Vec::new();
-                boxes.visit(*one, |place| near.push(place));
+                boxes.visit(*one, |place, _| near.push(place));
                 prop_assert!(near.is_sorted_by(|a, b| a < b));
                 let meets = |other: &Corners| {
                     other.x1 < one.x2 && other.x2 > one.x1 && other.y1 < one.y2 && other.y2 > one.y1
@@ -173,7 +179,7 @@ mod tests {
         let mut boxes = NearBoxes::default();
         boxes.fill((0..320).map(|place| (in_row(place), place)));
         let mut near = Vec::new();
-        boxes.visit(in_row(100), |place| near.push(place));
+        boxes.visit(in_row(100), |place, _| near.push(place));
         assert!(
             near.contains(&100) && near.len() <= 2 * 320 / BINS + 1,
             "{near:?}"

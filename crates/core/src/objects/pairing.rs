@@ -7,8 +7,11 @@ use crate::geometry::{BoundingBox, Corners};
 
 /// Returns an object's arguments for [`Pairing::stage`] to pair by overlap: the area that overlaps every box whose
 /// intersection over union with `own` is at least `gate`, and the cost of a box, 1 − intersection over union.
-pub(crate) fn by_overlap(own: Corners, gate: f64) -> (Corners, impl Fn(BoundingBox) -> f64) {
-    let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
+pub(crate) fn by_overlap(
+    own: Corners,
+    gate: f64,
+) -> (Corners, impl Fn(Corners, BoundingBox) -> f64) {
+    let cost = move |corners: Corners, _| 1.0 - own.intersection_over_union(corners);
     (own.core(gate), cost)
 }
 
@@ -47,9 +50,9 @@ impl Pairing {
     }
 
     /// Makes as many pairs of free objects and detections as possible, at the smallest total cost. For an object that
-    /// takes part, `reach` returns the area that its detections' boxes overlap, and the cost of a box; a pair is allowed
-    /// if its cost is `within` the gate.
-    pub(crate) fn stage<C: Fn(BoundingBox) -> f64>(
+    /// takes part, `reach` returns the area that its detections' boxes overlap, and the cost of a box, which is given as
+    /// its corners and as its centre and sides; a pair is allowed if its cost is `within` the gate.
+    pub(crate) fn stage<C: Fn(Corners, BoundingBox) -> f64>(
         &mut self,
         detections: &[Detection],
         reach: impl Fn(usize) -> Option<(Corners, C)>,
@@ -63,8 +66,8 @@ impl Pairing {
             let Some((area, cost_of)) = reach(row as usize) else {
                 continue;
             };
-            self.near.visit(area, |column| {
-                let cost = cost_of(detections[column as usize].bounding_box);
+            self.near.visit(area, |column, corners| {
+                let cost = cost_of(corners, detections[column as usize].bounding_box);
                 if within(cost) && self.is_free[column as usize] {
                     self.edges.push(Edge { row, column, cost });
                 }
@@ -84,6 +87,11 @@ impl Pairing {
     pub(crate) fn pair(&mut self, object: usize, detection: usize) {
         self.detection_of[object] = Some(detection as u32);
         self.is_free[detection] = false;
+    }
+
+    /// The boxes of the usable detections.
+    pub(crate) fn near(&self) -> &NearBoxes {
+        &self.near
     }
 
     /// Returns the index of each object's detection.

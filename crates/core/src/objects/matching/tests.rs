@@ -74,17 +74,24 @@ fn an_object_unseen_for_long_is_matched_by_distance_alone() {
 fn a_hopeless_pair_displaces_a_good_one_only_if_gates_are_applied_last() {
     // Overlaps .82 and .67 for the first, .23 and .04 for the second: .67 + .23 is the most, but .23 is beyond the gate.
     let states = [object(at(0.5, 0.1), 1), object(at(0.572, 0.1), 1)];
-    let detections = [detection(at(0.51, 0.1)), detection(at(0.48, 0.1))];
-    for (gate, first) in [
-        (GateOrder::BeforeAssignment, Some(0)),
-        (GateOrder::AfterAssignment, Some(1)),
-    ] {
-        let settings = Association {
-            gate,
-            mahalanobis_gate: 0.0,
-            ..SETTINGS
-        };
-        assert_eq!(associate(&settings, &states, &detections), [first, None]);
+    let of_interest = [detection(at(0.51, 0.1)), detection(at(0.48, 0.1))];
+    // Among many boxes only those near an object are looked at.
+    for others in [0, 20] {
+        let far_away = std::iter::repeat_n(detection(at(5.0, 0.1)), others);
+        let detections: Vec<_> = of_interest.iter().copied().chain(far_away).collect();
+        for (gate, first) in [
+            (GateOrder::BeforeAssignment, Some(0)),
+            (GateOrder::AfterAssignment, Some(1)),
+        ] {
+            let settings = Association {
+                gate,
+                iou_gate: 0.5,
+                mahalanobis_gate: 0.0,
+                ..SETTINGS
+            };
+            let matches = associate(&settings, &states, &detections);
+            assert_eq!(matches, [first, None], "{gate:?}, {others} others");
+        }
     }
 }
 
@@ -137,6 +144,68 @@ fn add_best(matches: &mut [Option<u32>], edges: &[Edge], detections: usize) {
     }
 }
 
+/// The published matcher: every pair is measured and competes, and those beyond the gate are discarded.
+fn associate_all_pairs(
+    settings: &Association,
+    states: &[ObjectState],
+    detections: &[Detection],
+) -> Vec<Option<u32>> {
+    let mut matches = vec![None; states.len()];
+    let is_young = |row: &usize| states[*row].since_update <= settings.iou_frames;
+    let young: Vec<usize> = (0..states.len()).filter(is_young).collect();
+    let apart = |row: usize, column: usize| {
+        let own = states[row].filter.bounding_box();
+        1.0 - own.intersection_over_union(detections[column].bounding_box)
+    };
+    add_cheapest(&mut matches, &young, detections.len(), apart, |cost| {
+        1.0 - cost >= settings.iou_gate && cost < 1.0
+    });
+
+    let is_unmatched = |row: &usize| matches[*row].is_none();
+    let unmatched: Vec<usize> = (0..states.len()).filter(is_unmatched).collect();
+    let distance = |row: usize, column: usize| {
+        let gauge = states[row].filter.gauge(&model());
+        let squared = gauge.squared_distance(detections[column].bounding_box);
+        if squared < settings.mahalanobis_gate {
+            squared
+        } else {
+            BEYOND_GATE
+        }
+    };
+    add_cheapest(
+        &mut matches,
+        &unmatched,
+        detections.len(),
+        distance,
+        |cost| cost < settings.mahalanobis_gate,
+    );
+    matches
+}
+
+/// Assigns the detections without a match to `rows`, and adds the pairs whose cost is within the gate.
+fn add_cheapest(
+    matches: &mut [Option<u32>],
+    rows: &[usize],
+    detections: usize,
+    cost: impl Fn(usize, usize) -> f64,
+    within: impl Fn(f64) -> bool,
+) {
+    let is_free = |column: &usize| !matches.contains(&Some(*column as u32));
+    let columns: Vec<usize> = (0..detections).filter(is_free).collect();
+    let mut matrix = Vec::new();
+    for row in rows {
+        for column in &columns {
+            matrix.push(cost(*row, *column));
+        }
+    }
+    let mut solver = AssignmentSolver::default();
+    for &(row, column) in solver.solve(rows.len(), columns.len(), &matrix) {
+        if within(matrix[row * columns.len() + column]) {
+            matches[rows[row]] = Some(columns[column] as u32);
+        }
+    }
+}
+
 /// Boxes on a coarse grid with few sizes, so that many coincide and costs tie; or boxes anywhere, some large, some far outside.
 fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
     let step = |steps: u8, unit: f64| (0..steps).prop_map(move |step| f64::from(step) * unit);
@@ -163,6 +232,18 @@ proptest! {
         let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
         let settings = Association { iou_gate, ..SETTINGS };
         let expected = associate_without_index(&settings, &states, &detections);
+        prop_assert_eq!(associate(&settings, &states, &detections), expected);
+    }
+
+    #[test]
+    fn costs_within_reach_are_enough_for_the_whole_matrix_even_with_ties(
+        seen in scene(60), found in scene(60),
+        iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
+    ) {
+        let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
+        let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
+        let settings = Association { iou_gate, gate: GateOrder::AfterAssignment, ..SETTINGS };
+        let expected = associate_all_pairs(&settings, &states, &detections);
         prop_assert_eq!(associate(&settings, &states, &detections), expected);
     }
 

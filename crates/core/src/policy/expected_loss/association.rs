@@ -28,7 +28,7 @@ pub(super) fn associate(
         let scale = object.alpha.max(1.0);
         let variance = object.filter.innovation_variance();
         let position = object.filter.position();
-        let cost = move |other: BoundingBox| {
+        let cost = move |_, other: BoundingBox| {
             let measured = measure(other, aspect);
             let squares =
                 (0..4).map(|axis| (measured[axis] - position[axis]).powi(2) / variance[axis]);
