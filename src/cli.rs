@@ -222,7 +222,10 @@ fn in_words(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1) {
         let addition = format!(": {cause}");
-        if !text.contains(&addition) {
+        // `b is 3` does not stand in `a: b is 30`.
+        let goes_on = |rest: &str| rest.starts_with(char::is_alphanumeric);
+        let is_said = text.split(&addition).skip(1).any(|rest| !goes_on(rest));
+        if !is_said {
             text.push_str(&addition);
         }
     }
@@ -313,6 +316,12 @@ mod tests {
     fn an_error_is_printed_with_every_cause() {
         let error = anyhow::anyhow!("b is 3").context("a").context("reading");
         assert_eq!(in_words(&error), "reading: a: b is 3");
+    }
+
+    #[test]
+    fn a_cause_that_only_begins_like_the_text_before_it_is_printed() {
+        let error = anyhow::anyhow!("b is 3").context("a: b is 30");
+        assert_eq!(in_words(&error), "a: b is 30: b is 3");
     }
 
     #[test]

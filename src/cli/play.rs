@@ -185,7 +185,8 @@ impl Player {
 
     /// The number of frames of the warm-up, after which the clip begins.
     pub(super) fn warm_up_frames(&self) -> u64 {
-        (self.warm_up_s * self.clip.rate()).round() as u64
+        let rate = self.rate.unwrap_or_else(|| self.clip.rate());
+        (self.warm_up_s * rate).round() as u64
     }
 
     /// Rests, then plays the clip to a new node under `policy`. `progress` gets the number of frames sent and the
@@ -236,8 +237,10 @@ impl Player {
         let answers = collecting.await.context("the node's answers")??;
         let at_any_time = None;
         let reports = board.recent_clips(Some(CAMERA), at_any_time, at_any_time, usize::MAX);
-        let measured_clip = reports.iter().find(|report| report.clip == MEASURED);
-        let report = measured_clip.context("the node reported no clip")?;
+        let report = reports
+            .iter()
+            .find(|report| report.clip == MEASURED)
+            .context("the node reported no clip")?;
         ensure!(
             report.part == 0,
             "the clip took more than {LONGEST_REPORT_S} s, which one report cannot cover: {}",

@@ -69,8 +69,9 @@ impl Point {
     }
 
     fn figure(&self, figure: Figure) -> impl Iterator<Item = f64> {
-        let clips = self.clips.iter();
-        clips.map(move |clip| clip.accuracy_all.as_ref().map_or(f64::NAN, figure))
+        self.clips
+            .iter()
+            .map(move |clip| clip.accuracy_all.as_ref().map_or(f64::NAN, figure))
     }
 
     pub(crate) fn mean(&self, figure: Figure) -> f64 {
@@ -89,8 +90,10 @@ impl Point {
     }
 
     fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
-        let pairs = self.figure(figure).zip(other.figure(figure));
-        pairs.map(|(own, other)| own - other).collect()
+        self.figure(figure)
+            .zip(other.figure(figure))
+            .map(|(own, other)| own - other)
+            .collect()
     }
 }
 
@@ -98,14 +101,16 @@ impl Recordings {
     /// The clips of `folder` with a box of ground truth.
     pub(crate) fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
         let mut clips = recorded::read(folder)?.only_with_detections(folder)?.clips;
-        clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
         if half_rate {
-            let slower = |clip: Clip| match clip.frame_rate {
-                Some(rate) => clip.thinned(rate / 2.0),
-                None => clip,
-            };
-            clips = clips.into_iter().map(slower).collect();
+            let mut slower = Vec::new();
+            for clip in clips {
+                let rate =
+                    clip.frame_rate.ok_or_else(|| format!("{}: no frame rate", clip.name))?;
+                slower.push(clip.thinned(rate / 2.0));
+            }
+            clips = slower;
         }
+        clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
         let settings = Settings {
             confidence,
             ..Settings::default()
@@ -176,13 +181,12 @@ impl Recordings {
         let own = ours.mean(ap50);
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
-            let changes = ours.minus(other, figure).into_iter();
-            let points: Vec<f64> = changes.map(|change| 100.0 * change).collect();
+            let points: Vec<f64> =
+                ours.minus(other, figure).into_iter().map(|change| 100.0 * change).collect();
             print!(" {} |", with_interval(&points, 1));
         }
         print!(" {} |", with_interval(&ours.later_than(other), 2));
-        let changes = ours.minus(other, ap50).into_iter();
-        let worse = changes.filter(|change| *change < 0.0).count();
+        let worse = ours.minus(other, ap50).into_iter().filter(|change| *change < 0.0).count();
         println!(" {worse} |");
         Ok(())
     }
@@ -229,7 +233,8 @@ fn main() -> Outcome<()> {
         recordings.row("even calls", &even)?;
     }
     for policy in POLICIES.split(' ') {
-        recordings.row(policy, &recordings.run(clips, policy)?)?;
+        let point = recordings.run(clips, policy)?;
+        recordings.row(policy, &point)?;
     }
     Ok(())
 }

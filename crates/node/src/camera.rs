@@ -248,7 +248,7 @@ impl Camera {
             self.deliver(fetched);
         }
         if let Some(settled) = &mut self.settled {
-            settled.flush();
+            settled.end_stream();
         }
     }
 

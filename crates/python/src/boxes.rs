@@ -89,10 +89,12 @@ pub(crate) fn arrays<'py>(py: Python<'py>, boxes: &[OutputBox], size: PictureSiz
         let values: Vec<T> = boxes.iter().map(value_of).collect();
         values.into_pyarray(py)
     }
-    let xyxy = ndarray::Array2::from_shape_fn((boxes.len(), 4), |(row, column)| {
-        let corners = boxes[row].bounding_box.pixel_corners(size);
-        [corners.x1, corners.y1, corners.x2, corners.y2][column]
-    });
+    let mut corners_of_boxes = Vec::with_capacity(boxes.len());
+    for found in boxes {
+        let corners = found.bounding_box.pixel_corners(size);
+        corners_of_boxes.push([corners.x1, corners.y1, corners.x2, corners.y2]);
+    }
+    let xyxy = ndarray::Array2::from(corners_of_boxes);
     (
         xyxy.into_pyarray(py),
         column(py, boxes, |found| found.confidence),

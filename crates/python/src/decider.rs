@@ -200,7 +200,7 @@ impl Decider {
             ));
         };
         if end {
-            settling.flush();
+            settling.end_stream();
         }
         let frames = settling.take().into_iter().map(|frame| {
             let boxes = arrays(py, &frame.boxes, self.size);
@@ -276,7 +276,7 @@ impl Decider {
     fn reset(&mut self) {
         self.policy.reset();
         if let Some(settling) = &mut self.settling {
-            settling.flush();
+            settling.end_stream();
         }
         self.order = Order::default();
         self.grey.forget();

@@ -98,7 +98,9 @@ impl Grey {
 
 /// Brightness as JPEG has it (ITU-R BT.601: 0.299, 0.587 and 0.114), in 256ths, rounded.
 fn luma(red: u8, green: u8, blue: u8) -> u8 {
-    let [red, green, blue] = [red, green, blue].map(u32::from);
+    let red = u32::from(red);
+    let green = u32::from(green);
+    let blue = u32::from(blue);
     ((77 * red + 150 * green + 29 * blue + 128) >> 8) as u8
 }
 

@@ -54,9 +54,9 @@ impl Settling {
     }
 
     /// Ends a stream: all frames that are held back are ready.
-    pub(crate) fn flush(&mut self) {
+    pub(crate) fn end_stream(&mut self) {
         let ready = &mut self.ready;
-        self.settler.flush(|frame| ready.push(frame.into()));
+        self.settler.end_stream(|frame| ready.push(frame.into()));
     }
 
     /// Takes the frames that are ready.

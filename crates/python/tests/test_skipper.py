@@ -275,6 +275,19 @@ class Late(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "cannot take late detections"):
             Skipper("vanilla", size=SIZE, late=True)
 
+    def test_after_a_reset_nothing_is_settled_from_the_stream_before(self):
+        skip = Skipper(size=SIZE, settle=True)
+        for n in range(3):
+            self.assertTrue(skip.wants_detector(n))
+            skip.update(found(0))
+        skip.reset()
+        self.assertTrue(skip.wants_detector(3))
+        skip.unavailable()
+        self.assertTrue(skip.wants_detector(4))
+        skip.update(found(0))
+        settled = dict(skip.settled(end=True))
+        self.assertEqual(len(settled[3].xyxy), 0)
+
     def test_every_frame_is_settled_once_in_order_and_more_accurately(self):
         def bent(n):
             return found(10 * np.sin(n / 6))

@@ -77,7 +77,16 @@ fn copy_whole(from: &Path, to: &Path) -> Result<u64, RecordingError> {
     let (mut writer, file) = create_writer(to)?;
     let no_metadata = BTreeMap::new();
     let mut copied = 0;
-    for message in Messages::open(from)? {
+    let mut messages = Messages::open(from)?;
+    loop {
+        let message = match messages.advance() {
+            Ok(Some(message)) => message,
+            Ok(None) => break,
+            // The disk does not say what there is.
+            Err(error @ RecordingError::Io(_)) => return Err(error),
+            // Here it was cut.
+            Err(_) => break,
+        };
         let channel = &message.channel;
         let schema = if channel.schema.is_empty() {
             NO_SCHEMA
@@ -99,4 +108,18 @@ fn copy_whole(from: &Path, to: &Path) -> Result<u64, RecordingError> {
     writer.finish()?;
     file.sync_all()?;
     Ok(copied)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_that_cannot_be_read_is_no_end_of_a_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        // Its first page is never there, and reading it is an error of the device.
+        let unreadable = Path::new("/proc/self/mem");
+        let copied = copy_whole(unreadable, &folder.path().join("a.mcap.part"));
+        assert!(matches!(copied, Err(RecordingError::Io(_))), "{copied:?}");
+    }
 }

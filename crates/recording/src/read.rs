@@ -91,7 +91,7 @@ impl Messages {
     }
 
     /// The next message, or `None` at the end. Notes the schemas and channels on the way to it.
-    fn advance(&mut self) -> Result<Option<Message>, RecordingError> {
+    pub(crate) fn advance(&mut self) -> Result<Option<Message>, RecordingError> {
         while let Some(record) = self.next_record()? {
             match record {
                 Record::Schema { header, data } => {

@@ -60,20 +60,24 @@ impl Authority {
     /// [`RouterError`] if one already exists or a file cannot be written.
     pub fn create(folder: &Path, name: &str, lasts: Duration) -> Result<Self, RouterError> {
         let file = folder.join(AUTHORITY);
-        if file.exists() || folder.join(AUTHORITY_KEY).exists() {
-            return other(format!(
-                "{} exists already: a new authority would invalidate every certificate of the old one",
-                file.display()
-            ));
+        let key_file = folder.join(AUTHORITY_KEY);
+        for file in [&file, &key_file] {
+            if file.exists() {
+                return other(format!(
+                    "{} exists already: a new authority would invalidate every certificate of the old one",
+                    file.display()
+                ));
+            }
         }
         create_folder(folder)?;
         let key = KeyPair::generate()?;
         let mut params = authority_params(name);
         set_validity(&mut params, lasts)?;
         let certificate = params.self_signed(&key)?;
-        write(&folder.join(AUTHORITY_KEY), &key.serialize_pem(), PRIVATE)?;
+        // An authority is there once its certificate is, so that comes last.
+        List::begin(folder)?;
+        write(&key_file, &key.serialize_pem(), PRIVATE)?;
         write(&file, &certificate.pem(), PUBLIC)?;
-        List::open(folder)?.write()?;
         Self::open(folder)
     }
 
@@ -239,10 +243,13 @@ fn write_atomically(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
+    // Nobody else reads it while it is written.
     let mut new = tempfile::Builder::new()
-        .permissions(Permissions::from_mode(mode))
+        .permissions(Permissions::from_mode(PRIVATE))
         .tempfile_in(folder)?;
     new.write_all(text.as_bytes())?;
+    // Other than at its creation, no umask takes anything away.
+    new.as_file().set_permissions(Permissions::from_mode(mode))?;
     new.as_file().sync_all()?;
     new.persist(file)?;
     Ok(())
@@ -256,10 +263,11 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
     let text = read(file)?;
     let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
     let certificate = pem.parse_x509().map_err(at(file))?;
-    let mut names = certificate.subject().iter_common_name();
-    let name = names.find_map(|name| name.as_str().ok());
-    name.map(str::to_owned)
-        .ok_or_else(|| about(file, "the certificate has no common name"))
+    let name = certificate.subject().iter_common_name().find_map(|name| name.as_str().ok());
+    match name {
+        Some(name) => Ok(name.to_owned()),
+        None => Err(about(file, "the certificate has no common name")),
+    }
 }
 
 /// Sets the validity: from [`VALID_BEFORE_S`] ago until `lasts` from now. Returns its end in seconds since the Unix epoch.

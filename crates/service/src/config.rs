@@ -18,6 +18,7 @@ pub use load::{Configuration, examine, examine_text, load};
 pub(crate) use log::check_level;
 pub use log::{LogConfig, LogFormat};
 pub use secrets::{MASK, without_secrets};
+pub(crate) use tokens::ANONYMOUS;
 pub use tokens::{NamedToken, Role};
 pub use uplink::UplinkConfig;
 pub use zenoh::{ZenohConfig, ZenohMode};

@@ -27,7 +27,11 @@ impl Client {
         token: Option<String>,
         remedy: &'static str,
     ) -> anyhow::Result<Self> {
+        // `localhost:8090` would be an address with the scheme `localhost`.
+        let is_http = |address: &Url| matches!(address.scheme(), "http" | "https");
         let base = Url::parse(hub)
+            .ok()
+            .filter(is_http)
             .with_context(|| format!("`{hub}` is not an address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
@@ -144,5 +148,28 @@ impl Client {
             take_line(&unread)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_without_http_is_refused_with_an_example() {
+        for address in [
+            "localhost:8090",
+            "car-7:8080",
+            "127.0.0.1:8090",
+            "ftp://hub",
+            "",
+        ] {
+            let refused = Client::new(address, None, "").err().unwrap().to_string();
+            let expected = format!("`{address}` is not an address such as http://127.0.0.1:8090");
+            assert_eq!(refused, expected);
+        }
+        for address in ["http://localhost:8090", "https://hub.example/fleet/"] {
+            assert!(Client::new(address, None, "").is_ok(), "{address}");
+        }
     }
 }

@@ -8,6 +8,7 @@ use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, bail};
 use clap::Args;
+use std::collections::HashSet;
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -124,6 +125,8 @@ fn read_ahead(
     repeat: bool,
     sender: &mpsc::Sender<anyhow::Result<ReadItem>>,
 ) -> anyhow::Result<()> {
+    // A file that cannot be used is told once, however often the source is read.
+    let mut told = HashSet::new();
     for pass in 0_u64.. {
         let mut is_empty = true;
         loop {
@@ -140,6 +143,10 @@ fn read_ahead(
                 }
                 // The other files follow.
                 Err(fault) if source.picture_name().is_some() => {
+                    let is_new = told.insert(fault.to_string());
+                    if !is_new {
+                        continue;
+                    }
                     ReadItem::LeftOut(fault.to_string())
                 }
                 Err(fault) => return Err(fault.into()),
@@ -320,8 +327,9 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     let mut prepared = start_reading(source, options.repeat);
     let mut sent = Sent::default();
     let mut started = None;
+    let is_paced = options.rate != Some(UNPACED);
     let mut pace = Pace {
-        period: (options.rate != Some(UNPACED)).then_some(period),
+        period: is_paced.then_some(period),
         due: Instant::now(),
         behind: 0,
     };

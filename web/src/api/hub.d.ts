@@ -860,7 +860,7 @@ export interface paths {
                     camera?: string;
                     /** @description Only clips that began at this time or later, milliseconds since the Unix epoch; a day ago by default. */
                     since_ms?: number;
-                    /** @description Only clips that began before this time; now by default. */
+                    /** @description Only clips that began before this time; all by default, also those of a node whose clock is ahead. */
                     until_ms?: number;
                     /** @description Maximum number of clips, up to 5000; 1000 by default. */
                     limit?: number;

@@ -153,21 +153,22 @@ impl BoxFlow {
             ((area.x1 + area.x2) / 2.0) as f32,
             ((area.y1 + area.y2) / 2.0) as f32,
         ];
-        let shift = [0, 1].map(|axis| {
+        let mut shift = [0.0; 2];
+        for (axis, shift) in shift.iter_mut().enumerate() {
             self.values.clear();
-            self.values.extend(self.pairs.iter().map(|pair| {
+            for pair in &self.pairs {
                 let grown = growth * (pair.start[axis] - middle[axis]);
-                pair.end[axis] - pair.start[axis] - grown
-            }));
-            median(&mut self.values)
-        });
+                self.values.push(pair.end[axis] - pair.start[axis] - grown);
+            }
+            *shift = median(&mut self.values);
+        }
         self.values.clear();
-        self.values.extend(self.pairs.iter().map(|pair| {
+        for pair in &self.pairs {
             let expected = [0, 1].map(|axis| {
                 pair.start[axis] + shift[axis] + growth * (pair.start[axis] - middle[axis])
             });
-            squared(pair.end, expected).sqrt()
-        }));
+            self.values.push(squared(pair.end, expected).sqrt());
+        }
         let side = (area.x2 - area.x1).min(area.y2 - area.y1);
         let motion = BoxMotion {
             shift: shift.map(f64::from),
@@ -188,7 +189,10 @@ impl BoxFlow {
             for other in self.pairs.get(index + 1..).unwrap_or_default() {
                 let before = squared(one.start, other.start);
                 let after = squared(one.end, other.end);
-                self.values.push(after / before);
+                // Points of a tiny box may be of one pixel, and tell nothing of its growth.
+                if before > 0.0 {
+                    self.values.push(after / before);
+                }
             }
         }
         let ratio = median(&mut self.values);
@@ -229,4 +233,24 @@ fn squared(a: [f32; 2], b: [f32; 2]) -> f32 {
     let dx = a[0] - b[0];
     let dy = a[1] - b[1];
     dx * dx + dy * dy
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_one_pixel_tell_nothing_of_the_growth_of_a_box() {
+        let on_one_pixel = Pair {
+            start: [0.0, 0.0],
+            end: [0.0, 0.0],
+        };
+        let other = Pair {
+            start: [2.0, 0.0],
+            end: [3.0, 0.0],
+        };
+        let mut flow = BoxFlow::new(2);
+        flow.pairs = vec![on_one_pixel, on_one_pixel, on_one_pixel, other];
+        assert_eq!(flow.scale(), Some(1.5));
+    }
 }

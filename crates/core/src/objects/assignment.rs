@@ -12,7 +12,7 @@ const NONE: usize = usize::MAX;
 
 /// A row of the matrix.
 #[derive(Clone, Copy, Debug)]
-struct Row {
+struct RowState {
     dual: f64,
     /// The column that it is paired with.
     column: usize,
@@ -20,7 +20,7 @@ struct Row {
 
 /// A column of the matrix.
 #[derive(Clone, Copy, Debug)]
-struct Column {
+struct ColumnState {
     dual: f64,
     /// The row that it is paired with.
     row: usize,
@@ -33,8 +33,8 @@ struct Column {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AssignmentSolver {
     transposed_cost: Vec<f64>,
-    rows: Vec<Row>,
-    columns: Vec<Column>,
+    rows: Vec<RowState>,
+    columns: Vec<ColumnState>,
     /// The columns that the search has not reached, and those that it has, in order.
     remaining: Vec<usize>,
     reached: Vec<usize>,
@@ -73,11 +73,11 @@ impl AssignmentSolver {
 
     /// Pairs every row with a column, for a matrix with at least as many columns as rows.
     fn assign(&mut self, rows: usize, columns: usize, cost: &[f64]) {
-        let row = Row {
+        let row = RowState {
             dual: 0.0,
             column: NONE,
         };
-        let column = Column {
+        let column = ColumnState {
             dual: 0.0,
             row: NONE,
             shortest: f64::INFINITY,

@@ -141,8 +141,8 @@ impl ObjectStates {
 
     fn create(&mut self, detections: &[Detection]) {
         let hits_to_confirm = self.settings.life_cycle.hits_to_confirm;
-        let found = detections.iter().zip(&mut self.sightings);
-        for ((detection, sighting), is_free) in found.zip(self.matcher.is_free()) {
+        let found = detections.iter().zip(&mut self.sightings).zip(self.matcher.is_free());
+        for ((detection, sighting), is_free) in found {
             if *is_free {
                 let id = ObjectId(self.next_id);
                 self.next_id += 1;

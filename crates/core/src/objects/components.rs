@@ -214,8 +214,7 @@ mod tests {
             for (index, &(row, column)) in pairs.iter().enumerate() {
                 let edge = edges.iter().find(|edge| edge.row == row && edge.column == column);
                 total += edge.unwrap().cost;
-                let mut earlier = pairs[..index].iter();
-                prop_assert!(earlier.all(|pair| pair.0 != row && pair.1 != column));
+                prop_assert!(pairs[..index].iter().all(|pair| pair.0 != row && pair.1 != column));
             }
             let (count, cost) = best(0, rows, &edges, 0);
             prop_assert_eq!(pairs.len() as i32, count);

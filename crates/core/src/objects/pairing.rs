@@ -43,9 +43,11 @@ impl Pairing {
         self.detection_of.resize(objects, None);
         self.is_free.clear();
         self.is_free.extend(usable);
-        let places = (0..).zip(detections).zip(&self.is_free);
-        let usable = places.filter(|(_, is_usable)| **is_usable);
-        let boxes = usable.map(|((place, detection), _)| (detection.bounding_box.corners(), place));
+        let boxes = (0..)
+            .zip(detections)
+            .zip(&self.is_free)
+            .filter(|(_, is_usable)| **is_usable)
+            .map(|((place, detection), _)| (detection.bounding_box.corners(), place));
         self.near.fill(boxes);
     }
 

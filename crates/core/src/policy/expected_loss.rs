@@ -173,11 +173,13 @@ impl ExpectedLoss {
     fn follow_boxes(&mut self, picture: GreyPicture<'_>) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
-            if !follower.has_followed() {
-                self.births.expect(FLOW_BIRTH_PRIOR);
-            }
+            let had_followed = follower.has_followed();
             let objects = self.objects.as_mut_slice();
             follower.follow_all(objects, aspect, picture);
+            // Not with a picture that cannot be used, of which there may be many before the first that can.
+            if follower.has_followed() && !had_followed {
+                self.births.expect(FLOW_BIRTH_PRIOR);
+            }
         }
         self.survey();
         let cause = if self.progress.screened {

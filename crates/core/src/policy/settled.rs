@@ -110,9 +110,7 @@ impl Settler {
         mut each: impl FnMut(SettledFrame<'_>),
     ) {
         if self.last.is_some_and(|last| index <= last) {
-            self.flush(&mut each);
-            let call = self.call.take();
-            self.recycle(call);
+            self.end_stream(&mut each);
         }
         self.last = Some(index);
         let mut frame = Buffered {
@@ -170,19 +168,29 @@ impl Settler {
         }
     }
 
-    /// Emits the frames held back, as answered, at the end of a clip or stream.
+    /// Emits the frames held back, as answered, at the end of a clip.
     pub fn flush(&mut self, mut each: impl FnMut(SettledFrame<'_>)) {
         while !self.buffer.is_empty() {
             self.give_up_oldest(&mut each);
         }
     }
 
+    /// Emits the frames held back, as answered, and forgets the stream: later frames have other objects, so that none is
+    /// interpolated from what was before.
+    pub fn end_stream(&mut self, each: impl FnMut(SettledFrame<'_>)) {
+        self.flush(each);
+        let call = self.call.take();
+        self.recycle(call);
+        self.last = None;
+    }
+
     /// Emits all frames up to the last call whose boxes are known.
     fn settle(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
         loop {
-            let mut frames = self.buffer.iter();
-            let Some(predicted) =
-                frames.position(|frame| frame.pending || frame.state != FrameState::P)
+            let Some(predicted) = self
+                .buffer
+                .iter()
+                .position(|frame| frame.pending || frame.state != FrameState::P)
             else {
                 return;
             };
@@ -285,8 +293,7 @@ fn belief(own: &OutputBox, from: &Buffered, to: &Buffered) -> Option<f64> {
 
 /// Returns the box in `frame` of the same object as `known`.
 fn find<'a>(frame: &'a Buffered, known: &OutputBox) -> Option<&'a OutputBox> {
-    let mut boxes = frame.boxes.iter();
-    boxes.find(|other| other.object == known.object)
+    frame.boxes.iter().find(|other| other.object == known.object)
 }
 
 fn between(start: BoundingBox, end: BoundingBox, share: f64) -> BoundingBox {

@@ -300,6 +300,7 @@ const CHANGES: [ChangeFigure; 3] = [
 fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
     for SetupRuns { setup, runs } in setups {
+        let title = setup.title_among(setups);
         let baseline: HashMap<&str, f64> = runs
             .iter()
             .filter(|run| run.policy == BASELINE)
@@ -313,7 +314,7 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
             let name = if setups.len() == 1 {
                 policy.to_owned()
             } else {
-                format!("{}: {policy}", setup.title())
+                format!("{title}: {policy}")
             };
             let frames: u64 = states.iter().map(|state| run.states.get(*state)).sum();
             let share = frames as f64 / run.states.frames().max(1) as f64;

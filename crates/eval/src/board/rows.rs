@@ -14,7 +14,12 @@ fn number(value: Option<f64>) -> String {
 pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
     let mut rows = Vec::new();
     for SetupRuns { setup, runs } in setups {
-        rows.extend(runs.iter().map(|run| row_of_clip(setup, run)));
+        let title = setup.title_among(setups);
+        for run in runs {
+            let mut row = vec![("setup", title.clone())];
+            row.extend(row_of_clip(setup, run));
+            rows.push(row);
+        }
     }
     rows
 }
@@ -60,9 +65,10 @@ fn row_of_clip(setup: &Setup, run: &ClipRun) -> Cells {
 pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<Cells> {
     let mut rows = Vec::new();
     for SetupRuns { setup, .. } in setups {
+        let title = setup.title_among(setups);
         for (key, value) in &setup.settings {
             rows.push(vec![
-                ("setup", setup.title()),
+                ("setup", title.clone()),
                 ("key", key.clone()),
                 ("value", value.clone()),
             ]);
@@ -75,11 +81,12 @@ pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<Cells> {
 pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
     let mut rows = Vec::new();
     for SetupRuns { setup, runs } in setups {
+        let title = setup.title_among(setups);
         for run in runs {
             for (domain, trace) in &run.traces {
                 for [seconds, watts] in trace {
                     rows.push(vec![
-                        ("setup", setup.title()),
+                        ("setup", title.clone()),
                         ("clip", run.clip.clone()),
                         ("policy", run.policy.clone()),
                         ("domain", domain.clone()),
@@ -97,8 +104,7 @@ pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
 pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<Cells> {
     let mut rows = Vec::new();
     for summary in summaries {
-        let policies = summary.policies.iter();
-        rows.extend(policies.map(|figures| row_of_policy(&summary.title, figures)));
+        rows.extend(summary.policies.iter().map(|figures| row_of_policy(&summary.title, figures)));
     }
     rows
 }

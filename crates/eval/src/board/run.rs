@@ -43,9 +43,29 @@ impl Setup {
         names.into_iter().map(String::as_str).filter(|name| !name.is_empty())
     }
 
-    /// Names the setup in tables.
+    /// Names the setup in sentences.
     pub fn title(&self) -> String {
         self.names().collect::<Vec<_>>().join(", ")
+    }
+
+    /// Names the setup in tables and figures of `setups`. One of the same title adds the settings that differ.
+    pub(super) fn title_among(&self, setups: &[SetupRuns]) -> String {
+        let title = self.title();
+        let mut settings = BTreeMap::new();
+        for SetupRuns { setup: other, .. } in setups {
+            if other.title() != title {
+                continue;
+            }
+            for Differing { key, own, .. } in self.differing_settings(other) {
+                settings.insert(key, own);
+            }
+        }
+        if settings.is_empty() {
+            return title;
+        }
+        let settings: Vec<String> =
+            settings.iter().map(|(key, own)| format!("{key} {own}")).collect();
+        format!("{title} ({})", settings.join(", "))
     }
 
     /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`. Settings tell two setups

@@ -60,13 +60,16 @@ impl RunsFile {
         file.read_to_end(&mut bytes).map_err(failed)?;
         if restart && !bytes.is_empty() {
             let beside = folder.join(format!("{}.before", setup.file_name()));
+            let lines = bytes.iter().filter(|byte| **byte == b'\n').count();
+            // The first line is the setup.
+            let has_runs = lines > 1;
             // A restart that was stopped before its first run leaves what the one before it has kept.
-            if bytes.trim_ascii().contains(&b'\n') || !beside.exists() {
+            if has_runs || !beside.exists() {
                 keep(&beside, &bytes).map_err(|error| EvalError::write(&beside, error))?;
             }
             bytes.clear();
         }
-        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let length = whole_lines(&bytes);
         let text = String::from_utf8_lossy(&bytes[..length]);
         file.set_len(length as u64).map_err(failed)?;
         file.seek(SeekFrom::End(0)).map_err(failed)?;
@@ -158,6 +161,11 @@ fn keep(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     file.sync_all()
 }
 
+/// Returns the length of the lines that were written to their end; the last one may have been cut off.
+fn whole_lines(bytes: &[u8]) -> usize {
+    bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1)
+}
+
 /// Parses the lines of a file; `None` if there are none.
 fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
     let mut found: Option<SetupRuns> = None;
@@ -225,12 +233,16 @@ pub fn files_of(named: &[PathBuf]) -> Result<Vec<PathBuf>, EvalError> {
 /// # Errors
 /// When the file cannot be read, is neither, or has no run.
 pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
-    let text = crate::files::read_text(path, JOINED)?;
-    let found = if text.starts_with('{') {
-        let whole = text.rfind('\n').map_or(0, |end| end + 1);
-        parse(path, &text[..whole])?
-    } else {
+    let mut bytes = std::fs::read(path).map_err(|error| EvalError::read(path, error, JOINED))?;
+    let is_published = !bytes.starts_with(b"{");
+    if !is_published {
+        bytes.truncate(whole_lines(&bytes));
+    }
+    let text = String::from_utf8(bytes).map_err(|error| EvalError::read(path, error, JOINED))?;
+    let found = if is_published {
         Some(published::parse(path, &text)?)
+    } else {
+        parse(path, &text)?
     };
     match found {
         Some(found) if !found.runs.is_empty() => Ok(found),

@@ -73,9 +73,17 @@ pub(super) struct ClipsOfAp {
     pub median_drop: Option<f64>,
 }
 
+/// Summarises the runs of each setup.
+pub(super) fn summarise_all(setups: &[SetupRuns]) -> Vec<SetupSummary> {
+    let mut summaries = Vec::new();
+    for SetupRuns { setup, runs } in setups {
+        summaries.push(summarise(setup.title_among(setups), runs));
+    }
+    summaries
+}
+
 /// Summarises a setup's runs, the baseline first, the other policies in the order in which they first occur.
-pub(super) fn summarise(setup_runs: &SetupRuns) -> SetupSummary {
-    let SetupRuns { setup, runs } = setup_runs;
+pub(super) fn summarise(title: String, runs: &[ClipRun]) -> SetupSummary {
     let mut by_policy = by_policy(runs, |run| &run.policy);
     by_policy.sort_by_key(|(policy, _)| *policy != BASELINE);
     let baseline = of_baseline(&by_policy, |run| &run.clip);
@@ -88,7 +96,7 @@ pub(super) fn summarise(setup_runs: &SetupRuns) -> SetupSummary {
         figures(policy, of_policy, change)
     });
     SetupSummary {
-        title: setup.title(),
+        title,
         energy_of: energy_of(runs),
         policies: policies.collect(),
     }
@@ -316,8 +324,12 @@ struct ClipJoules {
 /// The clips of which all four energies are known and above zero.
 fn joules_of_clips(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Vec<ClipJoules> {
     let joules = |setup: &SetupRuns, policy: &str| -> BTreeMap<String, f64> {
-        let runs = setup.runs.iter().filter(|run| run.policy == policy);
-        runs.filter_map(|run| Some((run.clip.clone(), run.joules?))).collect()
+        setup
+            .runs
+            .iter()
+            .filter(|run| run.policy == policy)
+            .filter_map(|run| Some((run.clip.clone(), run.joules?)))
+            .collect()
     };
     let all_skipping = joules(from, policy);
     let all_other = joules(to, BASELINE);

@@ -2,7 +2,7 @@
 
 use super::across::AcrossSetups;
 use super::run::{FRAMES, JUDGED_BY, SetupRuns};
-use super::summary::{Changes, PolicyFigures, SetupSummary, summarise};
+use super::summary::{Changes, PolicyFigures, SetupSummary, summarise_all};
 use crate::spec::{short_label, split_label};
 use crate::summary::Difference;
 use crate::text::{Column, counted, fitted, one_decimal, or_dash, signed, three_decimals, wrapped};
@@ -18,7 +18,7 @@ pub(super) struct JoinedTable {
 
 /// Formats all tables of the setups, at most `width` characters wide.
 pub fn render(setups: &[SetupRuns], width: usize) -> String {
-    let summaries: Vec<SetupSummary> = setups.iter().map(summarise).collect();
+    let summaries = summarise_all(setups);
     let mut rendered = String::new();
     for table in tables(setups, &summaries) {
         if !rendered.is_empty() {
@@ -403,8 +403,7 @@ fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
     names.sort();
     names.dedup();
     // A single one says no more than the total.
-    let parts = names.iter().filter(|name| *name != &"total");
-    if parts.count() < 2 {
+    if names.iter().filter(|name| *name != &"total").count() < 2 {
         return None;
     }
     let mut columns = vec![named(rows)];

@@ -98,7 +98,7 @@ fn the_power_of_a_traced_clip_is_drawn_with_a_line_for_each_policy() {
         setup: setup(),
         runs,
     }];
-    let summaries: Vec<_> = setups.iter().map(summary::summarise).collect();
+    let summaries = summary::summarise_all(&setups);
     let plots = figures::figures(&setups, &summaries).unwrap();
     let trace = plots.iter().find(|plot| plot.name == "power-trace-1").unwrap();
     for words in ["vanilla", "albireo", "Seconds of a", "Watts"] {
@@ -197,6 +197,53 @@ fn a_restart_that_was_stopped_before_its_first_run_leaves_the_runs_that_were_kep
 }
 
 #[test]
+fn a_restart_that_was_stopped_within_its_first_run_leaves_the_runs_that_were_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with_a_run(folder.path());
+    let before = fs::read(&path).unwrap();
+    let restart = true;
+    drop(RunsFile::open(folder.path(), &setup(), restart).unwrap());
+    let mut cut_off = fs::read(&path).unwrap();
+    cut_off.extend(b"{\"run\":{\"clip\":\"caf");
+    fs::write(&path, cut_off).unwrap();
+    drop(RunsFile::open(folder.path(), &setup(), restart).unwrap());
+    let kept = fs::read(path.with_extension("jsonl.before")).unwrap();
+    assert_eq!(kept, before);
+}
+
+#[test]
+fn a_file_whose_last_line_was_cut_within_a_letter_is_read_up_to_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with_a_run(folder.path());
+    let mut bytes = fs::read(&path).unwrap();
+    // The first of the two bytes of é.
+    bytes.extend(b"{\"run\":{\"clip\":\"caf\xC3");
+    fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().runs.len(), 1);
+}
+
+#[test]
+fn setups_of_one_title_are_told_apart_by_the_settings_that_differ() {
+    let of = |setup: Setup| SetupRuns {
+        setup,
+        runs: vec![run("a", BASELINE, 10.0, 0.5), run("a", "albireo", 8.0, 0.5)],
+    };
+    let setups = [of(setup()), of(changed(FRAMES, Some("paced")))];
+    let titles = setups.each_ref().map(|found| found.setup.title_among(&setups));
+    assert_eq!(titles[0], "yolo, fp16, 15 W, board (frames unpaced)");
+    assert_eq!(titles[1], "yolo, fp16, 15 W, board (frames paced)");
+    let summaries = summary::summarise_all(&setups);
+    let plots = figures::figures(&setups, &summaries).unwrap();
+    let changes = plots.iter().find(|plot| plot.name == "clips-ap50-change").unwrap();
+    for title in &titles {
+        assert!(changes.svg.contains(title), "{title}");
+    }
+    for row in rows::rows_of_clips(&setups) {
+        assert!(titles.contains(&row[0].1), "{row:?}");
+    }
+}
+
+#[test]
 fn a_clip_whose_pictures_or_labels_have_changed_is_not_added_to_its_runs() {
     let folder = tempfile::tempdir().unwrap();
     let mut file = opened(folder.path(), &setup()).unwrap();
@@ -244,10 +291,7 @@ fn differences_are_paired_over_the_clips_that_both_played() {
         run("a", "albireo", 80.0, 0.51),
         run("b", "albireo", 220.0, 0.58),
     ];
-    let summary = summary::summarise(&SetupRuns {
-        setup: setup(),
-        runs,
-    });
+    let summary = summary::summarise("a setup".to_owned(), &runs);
     let albireo = &summary.policies[1];
     let change = albireo.change.as_ref().unwrap();
     assert_eq!(change.joules.unwrap().mean, 0.0);
@@ -430,8 +474,10 @@ fn a_sweep_has_the_settings_of_a_policy_in_order() {
 #[test]
 fn the_power_modes_of_a_policy_are_beside_each_other_in_the_order_of_the_files() {
     let text = render(&three_setups(), WIDTH);
-    let modes = text.lines().skip(place(&text, "Power modes") + 1);
-    let mut of_vanilla = modes.filter(|line| line.contains("vanilla"));
+    let mut of_vanilla = text
+        .lines()
+        .skip(place(&text, "Power modes") + 1)
+        .filter(|line| line.contains("vanilla"));
     assert!(of_vanilla.next().unwrap().contains("MAXN"), "{text}");
     assert!(of_vanilla.next().unwrap().contains("15W"), "{text}");
 }

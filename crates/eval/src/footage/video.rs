@@ -3,7 +3,7 @@
 use super::source::{FrameSource, Stopper, clip_name};
 use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
-use albireo_vision::recordings::frame_rate;
+use albireo_vision::recordings::{for_ffmpeg, frame_rate};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -142,9 +142,8 @@ impl Video {
                  it to one",
             ));
         }
-        let file = no_option(file);
-        let found = probe(&file, default_rate, &programs)?;
-        let mut video = Self::open_probed(Arc::default(), &file, found.rate, encoding, programs)?;
+        let found = probe(file, default_rate, &programs)?;
+        let mut video = Self::open_probed(Arc::default(), file, found.rate, encoding, programs)?;
         video.frames = found.frames;
         Ok(video)
     }
@@ -157,10 +156,9 @@ impl Video {
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> Result<Self, EvalError> {
-        let file = no_option(file);
         let mut video = Self {
-            name: clip_name(Path::new(&file)),
-            file,
+            name: clip_name(Path::new(file)),
+            file: file.to_owned(),
             encoding,
             programs,
             rate,
@@ -193,14 +191,6 @@ impl Video {
     }
 }
 
-/// A name that begins with a dash would be read as an option.
-fn no_option(file: &str) -> String {
-    match file.strip_prefix('-') {
-        Some(rest) => format!("./-{rest}"),
-        None => file.to_owned(),
-    }
-}
-
 /// What a file without a frame rate needs.
 pub(super) fn no_rate(file: &str) -> EvalError {
     EvalError::new(format!(
@@ -222,10 +212,9 @@ fn probe(
     default_rate: Option<f64>,
     programs: &Ffmpeg,
 ) -> Result<Properties, EvalError> {
-    let mut command = Command::new(&programs.ffprobe);
-    let output = command
+    let output = Command::new(&programs.ffprobe)
         .args(PROBE)
-        .arg(file)
+        .arg(for_ffmpeg(Path::new(file)))
         .stdin(Stdio::null())
         .output()
         .map_err(|error| not_started(&programs.ffprobe, error))?;
@@ -332,7 +321,8 @@ impl FrameSource for Video {
             VideoEncoding::Png => &["-c:v", "png", "-f", "image2pipe"],
         };
         let mut child = Command::new(&self.programs.ffmpeg)
-            .args(["-v", "error", "-nostdin", "-i", &self.file])
+            .args(["-v", "error", "-nostdin", "-i"])
+            .arg(for_ffmpeg(Path::new(&self.file)))
             .args(EACH_FRAME)
             .args(encoder)
             .arg("pipe:1")
@@ -383,8 +373,9 @@ mod tests {
         let address = "rtsp://user:hidden@camera/1";
         let no_default_rate = None;
         let programs = Ffmpeg::default();
-        let opened = Video::open(address, no_default_rate, VideoEncoding::Jpeg, programs);
-        let text = opened.unwrap_err().to_string();
+        let text = Video::open(address, no_default_rate, VideoEncoding::Jpeg, programs)
+            .unwrap_err()
+            .to_string();
         assert!(text.contains("albireo publish"), "{text}");
         assert!(!text.contains("hidden"), "{text}");
     }

@@ -19,7 +19,7 @@ pub struct PositionQuery {
     pub camera: Option<String>,
     /// Only clips that began at this time or later, milliseconds since the Unix epoch; a day ago by default.
     pub since_ms: Option<i64>,
-    /// Only clips that began before this time; now by default.
+    /// Only clips that began before this time; all by default, also those of a node whose clock is ahead.
     pub until_ms: Option<i64>,
     /// Maximum number of clips, up to 5000; 1000 by default.
     pub limit: Option<i64>,

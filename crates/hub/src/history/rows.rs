@@ -251,6 +251,18 @@ impl Store {
         }
     }
 
+    /// The number of the first event that was not deleted; 0 if there is none.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub(crate) async fn first_event(&self) -> Result<i64, StoreError> {
+        let text = "SELECT COALESCE(min(id), 0) FROM events";
+        match self.query(text, Vec::new()).await?.first_mut() {
+            Some(row) => row.take(),
+            None => Ok(0),
+        }
+    }
+
     /// Events with numbers above `id`, in order.
     ///
     /// # Errors

@@ -51,20 +51,23 @@ pub(super) async fn stream(
         None => selection.last_event_id,
     };
     let store = hub.store()?.clone();
+    let first = store.first_event().await?;
     let newest = store.last_event().await?;
     let mut last = reader_has.unwrap_or(newest);
+    let deleted = first.saturating_sub(last.saturating_add(1));
     let missed = match newest.saturating_sub(last) {
         ..0 => Some("the event is from another database".to_owned()),
+        0..=MOST_REPLAYED if deleted > 0 => {
+            Some(format!("{deleted} events were missed and are deleted"))
+        }
         0..=MOST_REPLAYED => None,
         behind => Some(format!("{behind} events were missed")),
     };
     if missed.is_some() {
         last = newest;
     }
-    let resync = missed.map(|reason| {
-        let event = sse::Event::default().event("resync");
-        event.json_data(json!({ "reason": reason }))
-    });
+    let resync = missed
+        .map(|reason| sse::Event::default().event("resync").json_data(json!({ "reason": reason })));
     let news = EventsAfter { store, last };
     let types = selection.types;
     let is_wanted = move |event: &StoredEvent| match &types {
@@ -78,8 +81,10 @@ pub(super) async fn stream(
     .flatten()
     .filter(move |event| ready(is_wanted(event)))
     .map(|event| {
-        let written = sse::Event::default().event(&event.kind);
-        written.id(event.id.to_string()).json_data(&event)
+        sse::Event::default()
+            .event(&event.kind)
+            .id(event.id.to_string())
+            .json_data(&event)
     })
     .take_until(hub.shutdown.cancelled_owned());
     let events = stream::iter(resync).chain(sent);

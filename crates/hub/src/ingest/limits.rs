@@ -135,6 +135,8 @@ pub(crate) struct EntryLimit {
     span: i64,
     /// The entries in it, by node and kind.
     counts: HashMap<(String, &'static str), u32>,
+    /// Those counted since the last [`begin`](Self::begin).
+    since_begin: Vec<(String, &'static str)>,
 }
 
 impl EntryLimit {
@@ -143,6 +145,21 @@ impl EntryLimit {
             rate,
             span: 0,
             counts: HashMap::new(),
+            since_begin: Vec::new(),
+        }
+    }
+
+    /// Begins a transaction.
+    pub(crate) fn begin(&mut self) {
+        self.since_begin.clear();
+    }
+
+    /// The transaction was rolled back: what was counted in it was not written, and is not counted.
+    pub(crate) fn take_back(&mut self) {
+        for entry in self.since_begin.drain(..) {
+            if let Some(count) = self.counts.get_mut(&entry) {
+                *count = count.saturating_sub(1);
+            }
         }
     }
 
@@ -153,7 +170,9 @@ impl EntryLimit {
             self.span = span;
             self.counts.clear();
         }
-        let count = self.counts.entry((node.to_owned(), kind)).or_default();
+        let entry = (node.to_owned(), kind);
+        self.since_begin.push(entry.clone());
+        let count = self.counts.entry(entry).or_default();
         *count = count.saturating_add(1);
         *count <= self.rate.most
     }
@@ -223,6 +242,20 @@ mod tests {
 
     fn limits() -> NodeLimits {
         NodeLimits::new(10 * MB)
+    }
+
+    #[test]
+    fn what_was_rolled_back_is_not_counted() {
+        let mut limit = EntryLimit::new(EVENTS);
+        let at_ms = 1000;
+        limit.begin();
+        assert!(limit.allows("car-1", "gap", at_ms));
+        limit.take_back();
+        limit.begin();
+        assert!(limit.allows("car-1", "gap", at_ms));
+        limit.begin();
+        limit.take_back();
+        assert!(!limit.allows("car-1", "gap", at_ms), "one a minute");
     }
 
     #[test]

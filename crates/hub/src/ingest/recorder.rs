@@ -114,7 +114,33 @@ impl Recorder {
             let pause = if has_more { Duration::ZERO } else { RETENTION };
             self.retention_due = now.at + pause;
         }
-        // After an error the connection is dropped, which rolls the transaction back.
+        for limit in self.limits() {
+            limit.begin();
+        }
+        let recorded = self.transact(batches, nodes, now);
+        if recorded.is_err() {
+            for limit in self.limits() {
+                limit.take_back();
+            }
+        }
+        recorded
+    }
+
+    fn limits(&mut self) -> [&mut EntryLimit; 3] {
+        [
+            &mut self.event_limit,
+            &mut self.presence_limit,
+            &mut self.aside_limit,
+        ]
+    }
+
+    /// Writes everything in one transaction. After an error the connection is dropped, which rolls it back.
+    fn transact(
+        &mut self,
+        batches: &[Batch],
+        nodes: &[NodeView],
+        now: Now,
+    ) -> Result<Recorded, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         database.begin()?;
         // What nodes newly say of themselves becomes events.

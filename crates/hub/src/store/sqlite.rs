@@ -32,7 +32,9 @@ pub(super) struct Sqlite {
 /// The file of a URL.
 pub(super) fn file(url: &str) -> &str {
     let file = url.split('?').next().unwrap_or(url);
-    file.trim_start_matches("sqlite:").trim_start_matches("//")
+    let file = file.strip_prefix("sqlite:").unwrap_or(file);
+    // Whatever follows is the path: with four slashes in a row it is absolute, as with three.
+    file.strip_prefix("//").unwrap_or(file)
 }
 
 impl Sqlite {
@@ -199,5 +201,23 @@ impl ToSql for Param {
             Self::Whole(number) => ValueRef::Integer(*number),
             Self::Text(text) => ValueRef::Text(text.as_bytes()),
         }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_absolute_path_has_three_slashes_or_four_or_one() {
+        for (url, path) in [
+            ("sqlite:hub.db", "hub.db"),
+            ("sqlite://hub.db?mode=ro", "hub.db"),
+            ("sqlite:/var/lib/hub.db", "/var/lib/hub.db"),
+            ("sqlite:///var/lib/hub.db", "/var/lib/hub.db"),
+            ("sqlite:////var/lib/hub.db", "//var/lib/hub.db"),
+        ] {
+            assert_eq!(file(url), path);
+        }
     }
 }

@@ -96,7 +96,7 @@ impl Camera {
         self.policy = policy;
         self.first_index = None;
         if let Some(settled) = &mut self.settled {
-            settled.flush();
+            settled.end_stream();
         }
         self.audit.give_up();
         self.count_unreported();

@@ -39,7 +39,7 @@ impl SettledStream {
         pending: bool,
     ) {
         if self.waiting.back().is_some_and(|last| last.clip != clip) {
-            self.flush();
+            self.settler.flush(|frame| release(&mut self.waiting, &self.parts, &frame));
         }
         let frame = &incoming.frame;
         self.waiting.push_back(SettledMessage {
@@ -78,9 +78,9 @@ impl SettledStream {
         });
     }
 
-    /// Ends the clip: releases all frames held back.
-    pub(super) fn flush(&mut self) {
-        self.settler.flush(|frame| release(&mut self.waiting, &self.parts, &frame));
+    /// Ends the stream of a policy: releases all frames held back.
+    pub(super) fn end_stream(&mut self) {
+        self.settler.end_stream(|frame| release(&mut self.waiting, &self.parts, &frame));
     }
 }
 

@@ -23,6 +23,11 @@ pub(super) const PAUSE: Duration = Duration::from_secs(1);
 /// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
 
+/// How late a line of a program that prints one in every interval may be: a program may also take longer than asked.
+pub(super) fn late_after(least: Duration, interval_ms: u64) -> Duration {
+    least.max(Duration::from_millis(3 * interval_ms))
+}
+
 type TimedLine = (Instant, String);
 
 /// A child process and the lines that a thread reads from it.

@@ -9,7 +9,7 @@ use crate::error::MeterError;
 use crate::rails::{RailMap, RailWatts};
 use crate::reading::{Domain, INPUT_RAIL, PerDomain, Rail, Reading, Value};
 use crate::source::Meter;
-use crate::source::child::LineChild;
+use crate::source::child::{LineChild, late_after};
 use crate::source::sysfs;
 use std::path::Path;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ const FIRST_SET: Duration = Duration::from_secs(10);
 /// A program that prints nothing for this long is started again.
 const SILENCE: Duration = Duration::from_secs(30);
 
-/// A reading that is later than this is an error, which the sampler counts.
+/// A reading that is later than this and than some intervals is an error, which the sampler counts.
 const LATE: Duration = Duration::from_secs(5);
 
 /// The most lines of one set.
@@ -36,6 +36,7 @@ pub(crate) struct Command {
     map: Option<RailMap>,
     /// The lines of the set that has begun.
     rails: Vec<RailWatts>,
+    late: Duration,
     newest: Instant,
 }
 
@@ -64,6 +65,7 @@ impl Command {
             child,
             map,
             rails: Vec::new(),
+            late: late_after(LATE, config.interval_ms),
             newest: Instant::now(),
         };
         let began = std::time::Instant::now();
@@ -119,7 +121,7 @@ impl Meter for Command {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let readings = self.take()?;
         let silent = now.saturating_duration_since(self.newest);
-        if readings.is_empty() && silent > LATE {
+        if readings.is_empty() && silent > self.late {
             let seconds = silent.as_secs_f64();
             return Err(self.failed(&format!("no reading for {seconds:.1} s")));
         }
@@ -156,8 +158,9 @@ fn by_name(rails: &[RailWatts]) -> Reading {
         format!("{} lines of power.command", names.len())
     };
     let domain_of = |name: &str| {
-        let mut domains = [Domain::Gpu, Domain::Cpu, Domain::IoMem].into_iter();
-        domains.find(|domain| domain.as_str() == name)
+        [Domain::Gpu, Domain::Cpu, Domain::IoMem]
+            .into_iter()
+            .find(|domain| domain.as_str() == name)
     };
     let listed = rails.iter().map(|rail| Rail {
         name: Arc::clone(&rail.name),

@@ -96,8 +96,9 @@ fn distinct(mut channels: Vec<Channel>) -> Vec<Channel> {
 fn channels(chip: &Path) -> Vec<Channel> {
     match words(chip, "name").as_deref() {
         Some("ina238") => {
-            let mut labels = ["power1_label", "in1_label", "label"].into_iter();
-            let name = labels.find_map(|file| words(chip, file));
+            let name = ["power1_label", "in1_label", "label"]
+                .into_iter()
+                .find_map(|file| words(chip, file));
             vec![Channel {
                 name: name.map_or_else(|| INPUT.into(), Into::into),
                 files: vec![chip.join("power1_input")],

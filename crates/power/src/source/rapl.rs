@@ -159,8 +159,11 @@ fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
 /// does not move.
 fn includes_its_parts(zones: &[Zone]) -> bool {
     let joules = |whole: Whole| -> f64 {
-        let counted = zones.iter().filter(|zone| zone.counts_for(whole));
-        counted.map(|zone| zone.counter.joules()).sum()
+        zones
+            .iter()
+            .filter(|zone| zone.counts_for(whole))
+            .map(|zone| zone.counter.joules())
+            .sum()
     };
     joules(Whole::Platform) >= PLATFORM_AT_LEAST * joules(Whole::Packages)
 }

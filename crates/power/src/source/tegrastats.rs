@@ -12,7 +12,7 @@ use crate::error::MeterError;
 use crate::rails::RailMap;
 use crate::reading::Reading;
 use crate::source::Meter;
-use crate::source::child::{LineChild, PAUSE};
+use crate::source::child::{LineChild, PAUSE, late_after};
 use crate::source::sysfs;
 use procfs::process::Process;
 use std::io;
@@ -26,7 +26,7 @@ const FIRST_LINE: Duration = Duration::from_secs(5);
 /// A child that prints nothing for this long and for 20 intervals is restarted.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// A line that is later than this is an error, which the sampler counts.
+/// A line that is later than this and than some intervals is an error, which the sampler counts.
 const LATE: Duration = Duration::from_secs(1);
 
 /// A running `tegrastats`.
@@ -36,7 +36,11 @@ pub(crate) struct Tegrastats {
     map: RailMap,
     program: PathBuf,
     longest_silence: Duration,
+    late: Duration,
+    /// The time of the newest line with rails.
     newest: Instant,
+    /// True if the newest line had no rails, as after a start without the right to see them.
+    lacks_rails: bool,
 }
 
 /// Why the program was not started. The search for a name without a folder fails like a program that may not be run if
@@ -68,7 +72,9 @@ impl Tegrastats {
             map: RailMap::new(config.rails.as_ref())?,
             program,
             longest_silence: SILENCE.max(Duration::from_millis(20 * config.interval_ms)),
+            late: late_after(LATE, config.interval_ms),
             newest: Instant::now(),
+            lacks_rails: false,
         };
         let Some((at, line)) = meter.child.first_line(FIRST_LINE) else {
             let why = meter.child.trouble.as_deref();
@@ -98,18 +104,24 @@ impl Meter for Tegrastats {
             let Some(rails) = tegrastats_rails(&text) else {
                 continue;
             };
-            self.newest = at;
-            if !rails.is_empty() {
-                let mut reading = self.map.reading(&rails);
-                reading.at = Some(at);
-                readings.push(reading);
+            self.lacks_rails = rails.is_empty();
+            if self.lacks_rails {
+                continue;
             }
+            self.newest = at;
+            let mut reading = self.map.reading(&rails);
+            reading.at = Some(at);
+            readings.push(reading);
         }
         let silent = now.saturating_duration_since(self.newest);
-        if readings.is_empty() && silent > LATE {
-            let why = self.child.trouble.as_deref().unwrap_or("it stalls or has ended");
+        if readings.is_empty() && silent > self.late {
+            let why = match self.child.trouble.as_deref() {
+                Some(trouble) => trouble,
+                None if self.lacks_rails => "its lines have no power rails",
+                None => "it stalls or has ended",
+            };
             let seconds = silent.as_secs_f64();
-            return Err(self.unreadable(&format!("no line for {seconds:.1} s: {why}")));
+            return Err(self.unreadable(&format!("no reading for {seconds:.1} s: {why}")));
         }
         Ok(readings)
     }
@@ -143,5 +155,55 @@ mod tests {
         assert_contains(searched, &["there is no tegrastats", "folders of PATH"]);
         let named = not_started(Path::new("/usr/bin/tegrastats"), &denied);
         assert_contains(named, &["may not read /usr/bin/tegrastats", "sudo chmod"]);
+    }
+
+    /// A meter whose program prints `lines` and then nothing, asked for a line every `interval_ms`.
+    fn meter(folder: &Path, lines: &str, interval_ms: u64) -> Tegrastats {
+        let program = folder.join("tegrastats");
+        let script = folder.join("script");
+        std::fs::write(
+            &script,
+            format!("#!/bin/sh\nprintf '{lines}'\nexec sleep 60\n"),
+        )
+        .unwrap();
+        // Copied by another program: what this process writes a child of another test may hold open, and it could not start.
+        let copied = std::process::Command::new("install")
+            .args(["-m", "700"])
+            .args([&script, &program])
+            .status();
+        assert!(copied.unwrap().success());
+        let config = PowerConfig {
+            tegrastats: program,
+            interval_ms,
+            ..PowerConfig::default()
+        };
+        Tegrastats::open(&config).unwrap()
+    }
+
+    const WITH_RAILS: &str = r"RAM 1/2MB VDD_IN 5000mW/5000mW\n";
+
+    #[test]
+    fn a_line_is_late_after_some_intervals() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut meter = meter(folder.path(), WITH_RAILS, 2000);
+        let at = meter.newest;
+        assert!(meter.poll(at + Duration::from_millis(2100)).is_ok());
+        let late = meter.poll(at + Duration::from_secs(7)).unwrap_err();
+        assert_contains(late, &["no reading for 7.0 s", "stalls or has ended"]);
+    }
+
+    #[test]
+    fn lines_that_have_no_rails_any_more_are_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let lines = format!(r"{WITH_RAILS}RAM 1/2MB\n");
+        let mut meter = meter(folder.path(), &lines, 100);
+        let given_up = Instant::now() + Duration::from_secs(20);
+        while !meter.lacks_rails {
+            assert!(Instant::now() < given_up, "the second line does not come");
+            std::thread::sleep(Duration::from_millis(5));
+            meter.poll(meter.newest).unwrap();
+        }
+        let late = meter.poll(meter.newest + Duration::from_secs(2)).unwrap_err();
+        assert_contains(late, &["its lines have no power rails"]);
     }
 }

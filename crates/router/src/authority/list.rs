@@ -81,20 +81,36 @@ pub(super) struct List {
     _lock: File,
 }
 
+fn lock(folder: &Path) -> Result<File, RouterError> {
+    let file = folder.join(LOCK);
+    let lock = File::create(&file).map_err(at(&file))?;
+    lock.lock().map_err(at(&file))?;
+    Ok(lock)
+}
+
 impl List {
-    pub(super) fn open(folder: &Path) -> Result<Self, RouterError> {
-        let lock_file = folder.join(LOCK);
-        let lock = File::create(&lock_file).map_err(at(&lock_file))?;
-        lock.lock().map_err(at(&lock_file))?;
+    /// Writes an empty list where there is none.
+    pub(super) fn begin(folder: &Path) -> Result<(), RouterError> {
         let file = folder.join(LIST);
-        let stored = if file.exists() {
-            serde_json::from_str(&read(&file)?).map_err(at(&file))?
-        } else {
-            Stored {
+        if file.exists() {
+            return Ok(());
+        }
+        let empty = Self {
+            _lock: lock(folder)?,
+            file,
+            stored: Stored {
                 v: VERSION,
                 issued: Vec::new(),
-            }
+            },
         };
+        empty.write()
+    }
+
+    /// Reads the list. A missing one is an error: with an empty one, names of revoked certificates would be issued again.
+    pub(super) fn open(folder: &Path) -> Result<Self, RouterError> {
+        let lock = lock(folder)?;
+        let file = folder.join(LIST);
+        let stored: Stored = serde_json::from_str(&read(&file)?).map_err(at(&file))?;
         if stored.v != VERSION {
             let found = stored.v;
             return Err(about(
@@ -120,14 +136,15 @@ impl List {
 
     /// All entries with this role and name, revoked or not.
     fn entries_of(&self, role: Role, name: &str) -> impl Iterator<Item = &Entry> {
-        let issued = self.stored.issued.iter();
-        issued.filter(move |entry| entry.role == role && entry.name == name)
+        self.stored
+            .issued
+            .iter()
+            .filter(move |entry| entry.role == role && entry.name == name)
     }
 
     /// The unrevoked entry with this role and name.
     pub(super) fn unrevoked(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
-        let mut entries = self.entries_of(role, name);
-        match entries.find(|entry| entry.revoked_s.is_none()) {
+        match self.entries_of(role, name).find(|entry| entry.revoked_s.is_none()) {
             Some(entry) => Ok(entry),
             None => other(format!("{role} `{name}` has no valid certificate")),
         }
@@ -135,8 +152,7 @@ impl List {
 
     /// The highest issue with this role and name; 0 if there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
-        let issues = self.entries_of(role, name).map(|entry| entry.issue);
-        issues.max().unwrap_or(0)
+        self.entries_of(role, name).map(|entry| entry.issue).max().unwrap_or(0)
     }
 
     /// Adds an entry, replacing one with the same common name, and writes the list.

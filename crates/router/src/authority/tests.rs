@@ -6,8 +6,8 @@ const YEAR: Duration = Duration::from_secs(365 * 86_400);
 
 fn authority() -> (tempfile::TempDir, Authority) {
     let folder = tempfile::tempdir().unwrap();
-    let authority = Authority::create(folder.path(), "fleet north", YEAR * 10);
-    (folder, authority.unwrap())
+    let authority = Authority::create(folder.path(), "fleet north", YEAR * 10).unwrap();
+    (folder, authority)
 }
 
 fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, RouterError> {
@@ -15,8 +15,8 @@ fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, Ro
 }
 
 #[track_caller]
-fn assert_refused<T: std::fmt::Debug>(done: Result<T, RouterError>, why: &str) {
-    let error = done.unwrap_err().to_string();
+fn assert_refused<T>(done: Result<T, RouterError>, why: &str) {
+    let error = done.err().unwrap().to_string();
     assert!(error.contains(why), "{error}");
 }
 
@@ -43,8 +43,7 @@ fn openssl_accepts_the_chain_for_the_intended_purposes() {
     let router = authority.issue(Role::Router, "east", &hosts, YEAR).unwrap();
     let node = issue(&mut authority, Role::Node, "car-7").unwrap();
     let openssl = |arguments: &[&str], file: &Path| {
-        let mut command = Command::new("openssl");
-        command.args(arguments).arg(file).output().unwrap()
+        Command::new("openssl").args(arguments).arg(file).output().unwrap()
     };
     let trusted = folder.path().join(AUTHORITY).display().to_string();
     let verifies = |purpose: &str, file: &Path| {
@@ -71,7 +70,8 @@ fn a_name_has_one_valid_certificate_and_a_new_issue_after_revocation() {
     assert_refused(again, "renew it, or revoke it first");
     // The same name in another role is a different holder.
     issue(&mut authority, Role::Hub, "car-7").unwrap();
-    assert_eq!(authority.revoke(Role::Node, "car-7").unwrap().issue, 1);
+    let revoked = authority.revoke(Role::Node, "car-7").unwrap();
+    assert_eq!(revoked.issue, 1);
     let twice = authority.revoke(Role::Node, "car-7");
     assert_refused(twice, "no valid certificate");
     drop(authority);
@@ -112,11 +112,11 @@ fn neither_a_second_authority_nor_an_unreadable_list_overwrites_the_first() {
     let (folder, first) = authority();
     drop(first);
     let again = Authority::create(folder.path(), "other", YEAR);
-    assert_refused(again.map(drop), "exists already");
+    assert_refused(again, "authority.pem exists already");
     let list = folder.path().join("list.json");
     for text in ["{", r#"{"v": 9, "issued": []}"#] {
         std::fs::write(&list, text).unwrap();
-        assert_refused(Authority::open(folder.path()).map(drop), "list.json");
+        assert_refused(Authority::open(folder.path()), "list.json");
         assert_eq!(std::fs::read_to_string(&list).unwrap(), text);
     }
 }
@@ -124,10 +124,28 @@ fn neither_a_second_authority_nor_an_unreadable_list_overwrites_the_first() {
 #[test]
 fn a_look_for_an_authority_where_there_is_none_leaves_nothing_there() {
     let folder = tempfile::tempdir().unwrap();
-    let refused = Authority::open(folder.path()).err().unwrap().to_string();
-    assert!(
-        refused.contains("albireo cert authority --folder"),
-        "{refused}"
-    );
+    let refused = Authority::open(folder.path());
+    assert_refused(refused, "albireo cert authority --folder");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn an_authority_whose_list_is_lost_issues_nothing() {
+    let (folder, mut authority) = authority();
+    issue(&mut authority, Role::Node, "car-7").unwrap();
+    authority.revoke(Role::Node, "car-7").unwrap();
+    drop(authority);
+    // With an empty list car-7 would get the name of the revoked certificate again.
+    std::fs::remove_file(folder.path().join("list.json")).unwrap();
+    assert_refused(Authority::open(folder.path()), "list.json");
+}
+
+#[test]
+fn a_key_without_a_certificate_is_named_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let key = folder.path().join(AUTHORITY_KEY);
+    std::fs::write(&key, "a key").unwrap();
+    let refused = Authority::create(folder.path(), "fleet north", YEAR);
+    assert_refused(refused, "authority.key exists already");
+    assert_eq!(std::fs::read_to_string(&key).unwrap(), "a key");
 }

@@ -4,6 +4,9 @@ use super::{Findings, Token};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// Name of a caller without a token.
+pub(crate) const ANONYMOUS: &str = "anonymous";
+
 /// The permissions of a token's holder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -37,6 +40,10 @@ impl NamedToken {
             if token.name.is_empty() {
                 findings.add(key("name"), "is empty");
             }
+            if token.name == ANONYMOUS {
+                let reason = format!("`{ANONYMOUS}` is what callers without a token are called");
+                findings.add(key("name"), reason);
+            }
             if tokens[..index].iter().any(|other| other.name == token.name) {
                 findings.add(key("name"), format!("`{}` is used twice", token.name));
             }
@@ -48,5 +55,24 @@ impl NamedToken {
                 findings.add(key("token"), "needs either token or token_file");
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_token_is_named_as_callers_without_one() {
+        let token = NamedToken {
+            name: ANONYMOUS.to_owned(),
+            role: Role::Read,
+            token: None,
+            token_file: Some("token".into()),
+        };
+        let mut findings = Findings::default();
+        NamedToken::check(&[token], &mut findings);
+        let keys: Vec<_> = findings.0.iter().map(|finding| finding.key.as_str()).collect();
+        assert_eq!(keys, ["token[0].name"]);
     }
 }

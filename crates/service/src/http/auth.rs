@@ -2,7 +2,7 @@
 
 use super::Problem;
 use crate::ServiceError;
-use crate::config::{HttpConfig, NamedToken, Role, Token};
+use crate::config::{ANONYMOUS, HttpConfig, NamedToken, Role, Token};
 use crate::rate_limit::RateLimit;
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN, WWW_AUTHENTICATE};
@@ -52,9 +52,6 @@ pub struct Caller {
     /// The caller's permissions.
     pub role: Role,
 }
-
-/// Name of a caller without a token.
-pub(super) const ANONYMOUS: &str = "anonymous";
 
 /// The interval at which the token files are read again.
 const READ_EVERY: Duration = Duration::from_secs(1);
@@ -180,53 +177,57 @@ impl Guard {
         };
         let only_reads = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
         let refused = |status, detail: &str| Err(Problem::new(status, detail));
-        match &*self.rule {
-            Rule::Tokens(tokens) => {
-                let tokens = tokens.read();
-                let carried = tokens.iter().find(|known| carries(headers, &known.token));
-                if let Some(known) = carried {
-                    if only_reads || known.caller.role == Role::Tune {
-                        return Ok(known.caller.clone());
-                    }
-                    let name = &known.caller.name;
-                    let detail = format!(
-                        "the token `{name}` may only read: this needs a token with the role `tune`"
-                    );
-                    return refused(StatusCode::FORBIDDEN, &detail);
+        if let Rule::Tokens(tokens) = &*self.rule {
+            let tokens = tokens.read();
+            let carried = tokens.iter().find(|known| carries(headers, &known.token));
+            if let Some(known) = carried {
+                if only_reads || known.caller.role == Role::Tune {
+                    return Ok(known.caller.clone());
                 }
-                if headers.contains_key(AUTHORIZATION) {
-                    WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
-                    WRONG_TOKEN.log(|held_back| {
-                        tracing::warn!(held_back, "a request with a wrong token was rejected");
-                    });
-                }
-                if is_open(request.uri().path()) {
-                    return Ok(anonymous(Role::Read));
-                }
-                refused(
-                    StatusCode::UNAUTHORIZED,
-                    "this needs the header `Authorization: Bearer TOKEN` with the node's token",
-                )
+                let name = &known.caller.name;
+                let detail = format!(
+                    "the token `{name}` may only read: this needs a token with the role `tune`"
+                );
+                return refused(StatusCode::FORBIDDEN, &detail);
             }
-            _ if !only_reads && self.is_from_another_site(headers) => refused(
+            if headers.contains_key(AUTHORIZATION) {
+                WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
+                WRONG_TOKEN.log(|held_back| {
+                    tracing::warn!(held_back, "a request with a wrong token was rejected");
+                });
+            }
+            if is_open(request.uri().path()) {
+                return Ok(anonymous(Role::Read));
+            }
+            return refused(
+                StatusCode::UNAUTHORIZED,
+                "this needs the header `Authorization: Bearer TOKEN` with the node's token",
+            );
+        }
+        if !only_reads && self.is_from_another_site(headers) {
+            return refused(
                 StatusCode::FORBIDDEN,
                 "without a token a page of another site may not change anything: set a token, or name the page's \
                  origin in http.cors_origins",
-            ),
-            // The other content types are those that a browser sends to another site without a preflight.
-            _ if *method == Method::POST && !is_json(headers) => Err(Problem::new(
+            );
+        }
+        // The other content types are those that a browser sends to another site without a preflight.
+        if *method == Method::POST && !is_json(headers) {
+            let problem = Problem::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "without a token the content type of a POST must be `application/json`; \
                  with curl: -H 'content-type: application/json'",
-            )
-            .allowing(["application/json"])),
-            Rule::ThisMachine if !called_by_address(request) => refused(
+            );
+            return Err(problem.allowing(["application/json"]));
+        }
+        if matches!(*self.rule, Rule::ThisMachine) && !called_by_address(request) {
+            return refused(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
                  to reach it under another name set a token, or http.allow_unauthenticated = true",
-            ),
-            Rule::Anybody | Rule::ThisMachine => Ok(anonymous(Role::Tune)),
+            );
         }
+        Ok(anonymous(Role::Tune))
     }
 
     /// True if a browser sent the request for a page of another site. Newer browsers report that in `Sec-Fetch-Site`,
@@ -289,8 +290,7 @@ pub fn read_token(file: &Path) -> Result<Token, String> {
     let wrong = |fault: &dyn std::fmt::Display| format!("token_file {}: {fault}", file.display());
     let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
-    let checked = token.check();
-    checked.map_err(|fault| wrong(&format!("the first line {fault}")))?;
+    token.check().map_err(|fault| wrong(&format!("the first line {fault}")))?;
     Ok(token)
 }
 
@@ -323,8 +323,10 @@ fn called_by_address(request: &Request) -> bool {
 
 fn is_address(host: &str) -> bool {
     let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
-    let with_port = host.rsplit_once(':').filter(|(_, port)| is_port(port));
-    let name = with_port.map_or(host, |(name, _)| name);
+    let name = host
+        .rsplit_once(':')
+        .filter(|(_, port)| is_port(port))
+        .map_or(host, |(name, _)| name);
     let in_brackets = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
     match in_brackets {
         Some(name) => name.parse::<Ipv6Addr>().is_ok(),
@@ -373,8 +375,7 @@ mod tests {
         let foreign = |sent: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(HOST, HeaderValue::from_static("127.0.0.1:8090"));
-            let sent = sent.split(", ");
-            for (name, value) in sent.filter_map(|header| header.split_once(": ")) {
+            for (name, value) in sent.split(", ").filter_map(|header| header.split_once(": ")) {
                 headers.insert(name, HeaderValue::from_static(value));
             }
             guard.is_from_another_site(&headers)
@@ -403,14 +404,33 @@ mod tests {
 
     #[test]
     fn only_ip_addresses_and_localhost_are_accepted_as_host() {
-        let own = "localhost localhost:8080 LOCALHOST LOCALHOST:80 127.0.0.1 127.0.0.1:8080 192.168.1.7:8080 [::1] \
-                   [::1]:8080";
-        for host in own.split(' ') {
+        for host in [
+            "localhost",
+            "localhost:8080",
+            "LOCALHOST",
+            "LOCALHOST:80",
+            "127.0.0.1",
+            "127.0.0.1:8080",
+            "192.168.1.7:8080",
+            "[::1]",
+            "[::1]:8080",
+        ] {
             assert!(is_address(host), "{host}");
         }
-        let foreign = "evil.example evil.example:8080 [::1].evil.example [::1]evil [::1 localhost:80@evil localhost@evil \
-                       localhost:evil localhost.evil.example:8080 127.0.0.1.evil.example 127.0.0.1:80:80";
-        for host in foreign.split(' ').chain([""]) {
+        for host in [
+            "",
+            "evil.example",
+            "evil.example:8080",
+            "[::1].evil.example",
+            "[::1]evil",
+            "[::1",
+            "localhost:80@evil",
+            "localhost@evil",
+            "localhost:evil",
+            "localhost.evil.example:8080",
+            "127.0.0.1.evil.example",
+            "127.0.0.1:80:80",
+        ] {
             assert!(!is_address(host), "{host}");
         }
     }

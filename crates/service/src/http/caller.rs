@@ -2,8 +2,7 @@
 //! token allows, without provoking a refusal.
 
 use super::Caller;
-use super::auth::ANONYMOUS;
-use crate::config::Role;
+use crate::config::{ANONYMOUS, Role};
 use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;

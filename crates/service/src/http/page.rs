@@ -92,14 +92,19 @@ fn media_type(name: &str) -> Option<&'static str> {
 
 /// True if `Accept-Encoding` accepts gzip.
 fn takes_gzip(headers: &HeaderMap) -> bool {
-    let values = headers.get_all(ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
-    values.flat_map(|value| value.split(',')).any(accepts_gzip)
+    headers
+        .get_all(ACCEPT_ENCODING)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .any(accepts_gzip)
 }
 
 /// True for `gzip` and `gzip;q=0.5`, but not for `gzip;q=0`, which refuses it.
 fn accepts_gzip(coding: &str) -> bool {
     let (name, parameter) = coding.split_once(';').unwrap_or((coding, ""));
-    let weight = parameter.trim().strip_prefix("q=");
+    let parameter = parameter.trim().to_ascii_lowercase();
+    let weight = parameter.strip_prefix("q=");
     let is_refused = weight.is_some_and(|weight| weight.parse() == Ok(0.0_f32));
     name.trim().eq_ignore_ascii_case("gzip") && !is_refused
 }

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -63,8 +63,8 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
         "-show_entries",
         "format=duration:format_tags=creation_time:stream=avg_frame_rate,r_frame_rate",
     ]);
-    // A name that begins with a dash would be an option.
-    command.arg("-i").arg(path).stdin(Stdio::null());
+    let file = for_ffmpeg(path);
+    command.arg("-i").arg(&file).stdin(Stdio::null());
     let output = command.output().map_err(|error| match error.kind() {
         ErrorKind::NotFound => "no `ffprobe` was found; it comes with ffmpeg".to_owned(),
         _ => format!("`ffprobe` cannot be started: {error}"),
@@ -75,8 +75,8 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
             return Err(NO_INDEX.to_owned());
         }
         let last_line = said.lines().last().unwrap_or("it cannot be read");
-        let path = path.to_string_lossy();
-        return Err(last_line.replace(&format!("{path}: "), ""));
+        let file = file.to_string_lossy();
+        return Err(last_line.replace(&format!("{file}: "), ""));
     }
     let answer: FfprobeAnswer = serde_json::from_slice(&output.stdout)
         .map_err(|error| format!("ffprobe's answer cannot be read: {error}"))?;
@@ -92,6 +92,20 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
         created_ns: created,
         rate,
     })
+}
+
+/// Returns a file's name as ffmpeg and ffprobe take it for one: `-a.mp4` would be an option to them, and `12:30.mp4` an
+/// address.
+pub fn for_ffmpeg(file: &Path) -> PathBuf {
+    let first = match file.components().next() {
+        Some(Component::Normal(first)) => first.as_encoded_bytes(),
+        _ => &[],
+    };
+    if first.starts_with(b"-") || first.contains(&b':') {
+        Path::new(".").join(file)
+    } else {
+        file.to_owned()
+    }
 }
 
 /// Reads a frame rate as ffprobe writes it, such as `30000/1001`; `None` if it says that there is none.
@@ -114,8 +128,8 @@ fn created_ns(time: &str) -> Option<u64> {
     u64::try_from(time.as_nanosecond()).ok()
 }
 
-/// Checks that a file is not empty, and that an MP4 file is all there. One that is made of fragments plays to where it is
-/// cut; another is either without its index, or without pictures that the index promises.
+/// Checks that a file is not empty, and that an MP4 file has its index and all its pictures; of what else is in it nothing
+/// is needed. One that is made of fragments plays to where it is cut.
 fn check_is_whole(path: &Path) -> Result<(), String> {
     let mut file = File::open(path).map_err(|error| error.to_string())?;
     let length = file.metadata().map_err(|error| error.to_string())?.len();
@@ -130,8 +144,15 @@ fn check_is_whole(path: &Path) -> Result<(), String> {
     if !has(b"moov") {
         return Err(NO_INDEX.to_owned());
     }
-    let end = boxes.last().map_or(0, |last| last.end);
-    if end > length && !has(b"moof") {
+    if has(b"moof") {
+        return Ok(());
+    }
+    if !has(b"mdat") {
+        return Err("it is cut short: its index is there, and no picture".to_owned());
+    }
+    let is_needed = |found: &&Mp4Box| matches!(&found.kind, b"moov" | b"mdat");
+    let end = boxes.iter().filter(is_needed).map(|found| found.end).max().unwrap_or(0);
+    if end > length {
         return Err(format!(
             "it is cut short: {length} of {end} bytes are there"
         ));

@@ -277,6 +277,65 @@ fn an_index_that_reaches_to_the_end_of_the_file_is_one() {
     assert!(told.is_ok(), "{told:?}");
 }
 
+/// Why the only file of a folder is passed over; `None` if it is played.
+fn passed_over(folder: &tempfile::TempDir) -> Option<String> {
+    let played = played(folder.path());
+    assert_eq!(played.len(), 1, "{played:?}");
+    played.into_iter().find_map(|(_, told)| told.err())
+}
+
+/// A file whose index comes first, and the place at which its pictures begin.
+fn film_with_index_first(folder: &tempfile::TempDir) -> (PathBuf, usize) {
+    let path = folder.path().join("a.mp4");
+    film(&path, 1, &["-movflags", "faststart"]);
+    let bytes = fs::read(&path).unwrap();
+    let kind = bytes.windows(4).rposition(|bytes| bytes == b"mdat").unwrap();
+    (path, kind - 4)
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn a_file_cut_before_its_pictures_is_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, pictures) = film_with_index_first(&folder);
+    let bytes = fs::read(&path).unwrap();
+    // At the box of the pictures, and within its size and its name.
+    for end in [pictures, pictures + 3, pictures + 7] {
+        fs::write(&path, &bytes[..end]).unwrap();
+        let reason = passed_over(&folder).unwrap();
+        assert!(reason.contains("cut short"), "{end}: {reason}");
+    }
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn bytes_behind_the_pictures_are_in_nobodys_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, _) = film_with_index_first(&folder);
+    let mut bytes = fs::read(&path).unwrap();
+    bytes.extend(b"END OF RECORDING, says the camera");
+    fs::write(&path, bytes).unwrap();
+    assert_eq!(passed_over(&folder), None);
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn a_name_that_looks_like_an_option_or_an_address_is_a_files() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["-i.mp4", "12:30.mp4"] {
+        film(&folder.path().join(name), 1, &[]);
+        let relative = for_ffmpeg(Path::new(name));
+        let mut ffprobe = Command::new("ffprobe");
+        ffprobe.args(["-v", "error"]).arg(relative).current_dir(folder.path());
+        assert!(ffprobe.status().unwrap().success(), "{name}");
+    }
+    assert_eq!(
+        for_ffmpeg(Path::new("a/12:30.mp4")),
+        Path::new("a/12:30.mp4")
+    );
+    assert_eq!(for_ffmpeg(Path::new("/a:b/1.mp4")), Path::new("/a:b/1.mp4"));
+}
+
 #[test]
 #[ignore = "needs ffmpeg"]
 fn times_come_from_the_file_where_its_name_has_none_and_chapters_follow_each_other() {

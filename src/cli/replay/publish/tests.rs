@@ -173,3 +173,16 @@ async fn a_loop_without_frames_is_refused() {
     let nothing = publish(numbers(0), unheard, &options("--loop"), unwatched, &never).await;
     assert!(nothing.unwrap_err().to_string().contains("no frames"));
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_broken_picture_is_counted_once_however_often_the_folder_is_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut road = Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap();
+    let picture = road.next().unwrap().unwrap();
+    std::fs::write(folder.path().join("1.jpg"), &picture.bytes).unwrap();
+    std::fs::write(folder.path().join("2.jpg"), "not a picture").unwrap();
+    let source = Box::new(Pictures::of_folder(folder.path(), 10.0).unwrap());
+    let (_, sent) = played(source, options("--loop --frames 4"), |_| Duration::ZERO).await;
+    assert_eq!(sent.frames, 4);
+    assert_eq!(sent.left_out, 1);
+}

@@ -124,8 +124,7 @@ fn associate_without_index(
             continue;
         }
         for (column, detection) in (0..).zip(detections) {
-            let gauge = state.filter.gauge(&model());
-            let cost = gauge.squared_distance(detection.bounding_box);
+            let cost = state.filter.gauge(&model()).squared_distance(detection.bounding_box);
             if cost < settings.mahalanobis_gate && !matches.contains(&Some(column)) {
                 near.push(Edge { row, column, cost });
             }
@@ -164,8 +163,10 @@ fn associate_all_pairs(
     let is_unmatched = |row: &usize| matches[*row].is_none();
     let unmatched: Vec<usize> = (0..states.len()).filter(is_unmatched).collect();
     let distance = |row: usize, column: usize| {
-        let gauge = states[row].filter.gauge(&model());
-        let squared = gauge.squared_distance(detections[column].bounding_box);
+        let squared = states[row]
+            .filter
+            .gauge(&model())
+            .squared_distance(detections[column].bounding_box);
         if squared < settings.mahalanobis_gate {
             squared
         } else {

@@ -269,3 +269,24 @@ proptest! {
         }
     }
 }
+
+/// What births cost after `pictures` of 8x8 pixels, each with so many values, were followed.
+fn loss_of_births(pictures: &[usize]) -> f64 {
+    let trigger = Trigger::ExpectedLoss { lambda: 0.5 };
+    let mut policy = ExpectedLoss::new(ExpectedLossSettings::default(), trigger).unwrap();
+    policy.follower = Some(Box::default());
+    for values in pictures {
+        policy.follow_boxes(GreyPicture {
+            size: PictureSize::new(8, 8),
+            pixels: &vec![0; *values],
+        });
+    }
+    policy.births.expected_loss(10)
+}
+
+#[test]
+fn a_picture_that_cannot_be_followed_changes_nothing() {
+    assert_eq!(loss_of_births(&[63, 63, 63]), loss_of_births(&[]));
+    assert_eq!(loss_of_births(&[63, 64, 63, 64]), loss_of_births(&[64]));
+    assert_ne!(loss_of_births(&[64]), loss_of_births(&[]));
+}

@@ -80,6 +80,18 @@ fn note_in(given: &mut Vec<Given>) -> impl FnMut(SettledFrame<'_>) {
 }
 
 #[test]
+fn nothing_is_interpolated_from_a_stream_that_has_ended() {
+    let mut stream = Stream::new(LONG);
+    stream.frame(0, &at(FrameState::I, 0.1), false);
+    stream.settler.end_stream(note_in(&mut stream.given));
+    // Another object with the same number.
+    stream.frame(1, &answer(FrameState::P, &[]), false);
+    stream.frame(2, &at(FrameState::I, 0.9), false);
+    assert_eq!(stream.indices(), [0, 1, 2]);
+    assert_eq!(stream.given[1].boxes, []);
+}
+
+#[test]
 fn boxes_between_two_calls_are_interpolated_with_the_confidence_of_the_second() {
     use BoxSource::{Detected, Predicted, Rescued};
     let mut stream = Stream::new(LONG);

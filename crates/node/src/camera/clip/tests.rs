@@ -97,8 +97,10 @@ impl Camera {
 
     /// That many frames of a clip, the first at 0, and the clips that they end.
     pub(super) fn frames(&mut self, count: u64, every: u64, clip: Option<&str>) -> Vec<Clip> {
-        let times = (0..count).map(|frame| frame * every);
-        times.filter_map(|at| self.frame(at, clip)).collect()
+        (0..count)
+            .map(|frame| frame * every)
+            .filter_map(|at| self.frame(at, clip))
+            .collect()
     }
 
     fn frame_with(&mut self, at: u64, clip: Option<&str>, u: f64) -> Option<Clip> {
@@ -259,8 +261,11 @@ fn the_initial_threshold_and_each_change_are_reported_once_within_a_bound() {
             report.threshold_changes.last().unwrap().threshold.value,
             last
         );
-        let changes = report.threshold_changes.into_iter();
-        changes.map(|change| (change.seq, change.threshold.value)).collect::<Vec<_>>()
+        report
+            .threshold_changes
+            .into_iter()
+            .map(|change| (change.seq, change.threshold.value))
+            .collect::<Vec<_>>()
     };
     let few = changes_of(&mut [3e-4, 3e-4, 5e-4, 5e-4, 3e-4].into_iter());
     assert_eq!(few, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);

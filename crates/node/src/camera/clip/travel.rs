@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn a_long_way_keeps_its_shape_in_sixty_points() {
         // Ten laps of a circle of a kilometre around.
-        let way = (0..=1000).map(|step| {
+        let point = |step: i32| {
             let angle = f64::from(step) * 2.0 * PI / 100.0;
             let radius_m = 1000.0 / (2.0 * PI);
             // Degrees of longitude in a metre.
@@ -316,8 +316,8 @@ mod tests {
                 longitude: BERLIN.longitude + radius_m * angle.cos() * metre_east,
                 speed_m_s: Some(10.0),
             }
-        });
-        let travel = drive(way);
+        };
+        let travel = drive((0..=1000).map(point));
         assert!(
             (9_700.0..10_010.0).contains(&travel.distance_m),
             "{travel:?}"
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn a_way_over_the_antimeridian_has_a_small_box() {
-        let way = (-20..=20).map(|step| {
+        let point = |step: i32| {
             let mut longitude = 180.0 + f64::from(step) * 20.0 * METRE;
             if longitude > 180.0 {
                 longitude -= 360.0;
@@ -340,8 +340,8 @@ mod tests {
                 longitude,
                 speed_m_s: None,
             }
-        });
-        let travel = drive(way);
+        };
+        let travel = drive((-20..=20).map(point));
         assert!((700.0..800.0).contains(&travel.distance_m), "{travel:?}");
         let [west, _, east, _] = travel.bounds;
         assert!(west > 179.0 && east < -179.0, "{travel:?}");

@@ -3,6 +3,7 @@
 use super::address::{Resolved, SourceKind};
 use super::program::PictureProgram;
 use super::settings::SourceSettings;
+use albireo_vision::recordings::for_ffmpeg;
 use std::path::Path;
 
 /// The program.
@@ -223,9 +224,12 @@ impl<'a> CommandLine<'a> {
         for (name, value) in std::mem::take(&mut self.camera) {
             self.add(&[&format!("-{name}"), &value]);
         }
-        // Otherwise a file name that begins with `-` would be an option.
-        let sign = if address.starts_with('-') { "./" } else { "" };
-        self.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
+        let input = if address.contains("://") {
+            address.to_owned()
+        } else {
+            for_ffmpeg(Path::new(address)).to_string_lossy().into_owned()
+        };
+        self.add(&["-nostdin", "-i", &input]);
     }
 
     /// What goes out: every picture, untouched or decoded.

@@ -21,8 +21,7 @@ fn lines(child: &mut LineChild, count: usize) -> Vec<(Instant, String)> {
 }
 
 fn texts(child: &mut LineChild, count: usize) -> Vec<String> {
-    let found = lines(child, count).into_iter();
-    found.map(|(_, line)| line).collect()
+    lines(child, count).into_iter().map(|(_, line)| line).collect()
 }
 
 fn exists(process: u32) -> bool {

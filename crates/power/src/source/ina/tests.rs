@@ -52,8 +52,8 @@ fn power_is_voltage_times_current_without_shunt_inputs_and_an_input_monitor_give
     assert!(close(watts(&tree, Domain::Total), 31.25));
     let found = read(&tree);
     assert_eq!(&*found.total_from, "input_rail");
-    let in_total = found.rails.iter().filter(|rail| rail.in_total);
-    assert_eq!(in_total.count(), 1, "the parts are not added to the whole");
+    let in_total = found.rails.iter().filter(|rail| rail.in_total).count();
+    assert_eq!(in_total, 1, "the parts are not added to the whole");
 }
 
 #[test]
@@ -114,8 +114,8 @@ fn a_second_input_monitor_has_a_name_of_its_own_and_is_not_in_the_total() {
         tree.write(format!("sys/class/hwmon/{chip}/power1_input"), microwatts);
     }
     let found = read(&tree);
-    let rails = found.rails.iter().map(|rail| (&*rail.name, rail.in_total));
-    assert_eq!(rails.collect::<Vec<_>>(), [("VIN", true), ("VIN 2", false)]);
+    let rails: Vec<_> = found.rails.iter().map(|rail| (&*rail.name, rail.in_total)).collect();
+    assert_eq!(rails, [("VIN", true), ("VIN 2", false)]);
     assert!(close(watts(&tree, Domain::Total), 20.0));
 }
 

@@ -11,6 +11,7 @@ fn gzip_needs_an_accept_encoding_that_allows_it() {
         ("gzip", true),
         ("br, GZIP;q=0.5", true),
         ("gzip;q=0", false),
+        ("gzip;Q=0", false),
         ("gzip; q=0.000, br", false),
         ("br, zstd", false),
         ("xgzip", false),
