@@ -68,8 +68,7 @@ fn predicted_frames<P: Policy + Clone>(
         for detections in Scene::new(objects).film(10, 0) {
             camera.frame(&detections);
         }
-        let turned = camera.policy.set_threshold(highest);
-        turned.expect("the threshold goes so far");
+        camera.policy.set_threshold(highest).expect("the threshold goes so far");
         let start = camera.policy.clone();
         group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
             bencher.iter_custom(|frames| {

@@ -116,8 +116,10 @@ impl Resident {
         let file = format!("/proc/{}/status", process.0.id());
         let status = std::fs::read_to_string(file).expect("the process runs");
         let megabytes = |name: &str| {
-            let value = status.lines().find_map(|line| line.strip_prefix(name));
-            let value = value.expect("the system reports its memory");
+            let value = status
+                .lines()
+                .find_map(|line| line.strip_prefix(name))
+                .expect("the system reports its memory");
             let kilobytes = value.trim().strip_suffix(" kB").expect("kB");
             let kilobytes: f64 = kilobytes.parse().expect("a number");
             kilobytes * 1024.0 / 1e6

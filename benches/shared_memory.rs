@@ -273,8 +273,7 @@ async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
 
 /// Shared memory for 12 pictures: those that wait, those that the node reads, and those in transit.
 fn shared_memory(bytes: usize) -> ShmProvider<PosixShmProviderBackend> {
-    let pool = ShmProviderBuilder::default_backend(12 * bytes).wait();
-    pool.expect("shared memory")
+    ShmProviderBuilder::default_backend(12 * bytes).wait().expect("shared memory")
 }
 
 fn place(memory: &ShmProvider<PosixShmProviderBackend>, picture: &[u8]) -> ZBytes {

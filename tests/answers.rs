@@ -219,7 +219,7 @@ async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {
     assert!(drive.live[0].pending);
     drive.frame(&picture, "b").await;
     let ended = drive.stop().await;
-    let clips = ended.reports.iter().map(|report| (&*report.clip, report.frames));
-    assert_eq!(clips.collect::<Vec<_>>(), [("a", 1), ("b", 1)]);
+    let clips: Vec<_> = ended.reports.iter().map(|report| (&*report.clip, report.frames)).collect();
+    assert_eq!(clips, [("a", 1), ("b", 1)]);
     assert!(ended.finals[&0].state != FrameState::P, "it was examined");
 }

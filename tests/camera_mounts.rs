@@ -59,10 +59,13 @@ async fn shown(node: &Node, path: &str) -> Picture {
 
 /// The pictures in the recordings of a camera.
 fn recorded(folder: &Path, camera: &str) -> Vec<Picture> {
-    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let messages = files.flat_map(|path| Messages::open(&path).unwrap());
-    let images = messages.filter(|one| one.channel.topic == Topic::Image.of(camera));
-    images.map(|one| decoded(picture_in_protobuf(&one.data).unwrap())).collect()
+    std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .flat_map(|path| Messages::open(&path).unwrap())
+        .filter(|one| one.channel.topic == Topic::Image.of(camera))
+        .map(|one| decoded(picture_in_protobuf(&one.data).unwrap()))
+        .collect()
 }
 
 fn assert_masked(picture: &Picture, name: &str) {

@@ -27,13 +27,11 @@ const LOGIN: [&str; 2] = [USER, PASSWORD];
 const ENVIRONMENT: [(&str, &str); 2] = [("GATE_USER", USER), ("GATE_PASSWORD", PASSWORD)];
 
 fn with_login(camera: &RtspCamera) -> String {
-    let address = camera.address();
-    address.replace("rtsp://", "rtsp://${GATE_USER}:${GATE_PASSWORD}@")
+    camera.address().replace("rtsp://", "rtsp://${GATE_USER}:${GATE_PASSWORD}@")
 }
 
 fn picture() -> Vec<u8> {
-    let scene = BoxScene::new(3, PictureSize::new(320, 180));
-    scene.frame(0).jpeg(80).unwrap()
+    BoxScene::new(3, PictureSize::new(320, 180)).frame(0).jpeg(80).unwrap()
 }
 
 struct Received {
@@ -351,7 +349,8 @@ async fn motion_jpeg_is_forwarded_unchanged_at_the_rate_with_options_that_leak_n
     let mut publisher = Publisher::start(&arguments, &environment).await;
     let frames = publisher.take(16).await;
     // By the publisher's clock, fifteen slots of 0.2 s follow the first frame's slot; that frame may come late in its slot.
-    let [first, last] = [0, 15].map(|frame: usize| frames[frame].said.t_ns.unwrap());
+    let first = frames[0].said.t_ns.unwrap();
+    let last = frames[15].said.t_ns.unwrap();
     let took = Duration::from_nanos(last - first);
     assert!(took >= Duration::from_millis(2700), "{took:?}");
     assert!(frames.iter().all(|frame| frame.bytes == picture));

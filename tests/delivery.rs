@@ -57,10 +57,12 @@ impl Hub {
     async fn start(endpoint: &str) -> Self {
         let session = zenoh_client(endpoint).await;
         let (sender, queries) = unbounded_channel();
-        let queryable = session
+        session
             .declare_queryable("albireo/@report/*")
-            .callback(move |query| drop(sender.send(query)));
-        queryable.background().await.unwrap();
+            .callback(move |query| drop(sender.send(query)))
+            .background()
+            .await
+            .unwrap();
         Self { session, queries }
     }
 
@@ -70,9 +72,9 @@ impl Hub {
         let payload = query.payload().unwrap().to_bytes();
         assert!(payload.len() < 1 << 20, "a batch is below 1 MiB");
         let batch = ReportBatch::from_payload(&payload).unwrap();
-        let reports = batch.reports.iter();
-        let counted = reports.map(|report| (report.id, report.count.unwrap()));
-        (query, counted.collect())
+        let counted =
+            batch.reports.iter().map(|report| (report.id, report.count.unwrap())).collect();
+        (query, counted)
     }
 
     /// Acknowledges everything until it has exactly the first `reports` reports, each once and in order.
@@ -147,8 +149,7 @@ async fn a_busy_hub_is_asked_again_after_the_time_it_names_or_when_the_node_stop
             detail: "too much to do".to_owned(),
             retry_after_ms: Some(retry_after_ms),
         };
-        let refusal = query.reply_err(serde_json::to_vec(&refusal).unwrap());
-        refusal.await.unwrap();
+        query.reply_err(serde_json::to_vec(&refusal).unwrap()).await.unwrap();
     }
     for pause in asked.windows(2).map(|two| two[1] - two[0]) {
         assert!(pause >= Duration::from_millis(650), "{pause:?}");

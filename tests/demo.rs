@@ -64,8 +64,10 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     let mut lines = after.lines().skip(1);
     assert_eq!(lines.next().unwrap(), "");
     assert!(lines.next().unwrap().starts_with("clip "), "{said}");
-    let rows = lines.take_while(|line| !line.is_empty());
-    let clips: Vec<_> = rows.map(|row| row.split_whitespace().next()).collect();
+    let clips: Vec<_> = lines
+        .take_while(|line| !line.is_empty())
+        .map(|row| row.split_whitespace().next())
+        .collect();
     assert!(clips.len() >= 2, "{said}");
     let road = ["busy", "sparse", "two-near", "empty-then-car"];
     for (number, clip) in clips.iter().enumerate() {

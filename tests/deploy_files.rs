@@ -211,8 +211,7 @@ fn every_command_in_the_compose_file_parses() {
     assert!(commands.len() >= 6, "{commands:?}");
     for words in commands {
         let words = std::iter::once("albireo").chain(words.iter().map(String::as_str));
-        let program = albireo::cli::Arguments::command();
-        program.try_get_matches_from(words).unwrap();
+        albireo::cli::Arguments::command().try_get_matches_from(words).unwrap();
     }
 }
 

@@ -28,8 +28,8 @@ fn the_units_are_valid_and_as_restricted_as_promised_even_with_their_drop_ins() 
         let mut verify = Command::new("systemd-analyze");
         let said = run_command(verify.args(["verify", "--man=no"]).args(&files)).err;
         // The units of the machine do not matter.
-        let own = said.lines().filter(|line| line.contains("albireo"));
-        own.collect::<Vec<_>>().join("\n")
+        let own: Vec<_> = said.lines().filter(|line| line.contains("albireo")).collect();
+        own.join("\n")
     };
     assert_eq!(verify(), "");
     let drop_ins = folder.path().join("albireo-node.service.d");
@@ -99,8 +99,7 @@ impl Service {
     }
 
     fn count(&self, message: &str) -> usize {
-        let of_it = self.heard.iter().filter(|one| one.starts_with(message));
-        of_it.count()
+        self.heard.iter().filter(|one| one.starts_with(message)).count()
     }
 
     /// Receives until the message has arrived this many times.

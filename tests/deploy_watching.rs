@@ -38,8 +38,7 @@ fn dashboards() -> Vec<(String, String)> {
 
 fn names(exposition: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    let types = exposition.lines();
-    for line in types.filter_map(|line| line.strip_prefix("# TYPE ")) {
+    for line in exposition.lines().filter_map(|line| line.strip_prefix("# TYPE ")) {
         let (name, kind) = line.split_once(' ').unwrap();
         if kind == "histogram" {
             names.extend(["bucket", "sum", "count"].map(|part| format!("{name}_{part}")));
@@ -72,8 +71,11 @@ async fn every_query_names_metrics_of_ours_and_every_metric_in_a_rule_or_dashboa
     let pages = [node.metrics().await, hub.metrics().await, router];
     let mut there: BTreeSet<_> = pages.iter().flat_map(|page| names(page)).collect();
     let rules = text("prometheus/rules.yml");
-    let recorded = rules.lines().filter_map(|line| line.split_once("record: "));
-    there.extend(recorded.map(|(_, name)| name.to_owned()));
+    let recorded = rules
+        .lines()
+        .filter_map(|line| line.split_once("record: "))
+        .map(|(_, name)| name.to_owned());
+    there.extend(recorded);
     let mut files = dashboards();
     let mut queries = 0;
     for (name, text) in &files {
@@ -125,10 +127,17 @@ fn every_alert_has_a_test() {
 fn the_map_of_the_dashboard_asks_the_hub_through_a_provisioned_data_source() {
     let (_, fleet) = dashboards().into_iter().find(|(name, _)| name == "fleet.json").unwrap();
     let fleet: Value = serde_json::from_str(&fleet).unwrap();
-    let mut panels = fleet["panels"].as_array().unwrap().iter();
-    let map = panels.find(|panel| panel["type"] == "geomap").unwrap();
-    let asked = map["options"]["layers"][0]["config"]["src"].as_str().unwrap();
-    let asked = asked.strip_prefix("api/datasources/proxy/uid/").unwrap();
+    let map = fleet["panels"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|panel| panel["type"] == "geomap")
+        .unwrap();
+    let asked = map["options"]["layers"][0]["config"]["src"]
+        .as_str()
+        .unwrap()
+        .strip_prefix("api/datasources/proxy/uid/")
+        .unwrap();
     let (source, path) = asked.split_once('/').unwrap();
     let sources = text("grafana/provisioning/datasources/prometheus.yml");
     assert!(sources.contains(&format!("uid: {source}\n")), "{sources}");

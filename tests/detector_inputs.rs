@@ -29,10 +29,11 @@ fn config(model: PathBuf) -> DetectorConfig {
 /// The first pictures of a clip of the demonstration's road.
 fn road(clip: &str, count: usize) -> Vec<Picture> {
     let road = Pictures::of_archive(&project("demo/road.tar"), 25.0).unwrap();
-    let mut clips = road.into_clips().into_iter();
-    let mut clip = clips.find(|one| one.name() == clip).unwrap();
-    let encoded = std::iter::from_fn(|| clip.next().unwrap());
-    encoded.take(count).map(|encoded| decoded(&encoded)).collect()
+    let mut clip = road.into_clips().into_iter().find(|one| one.name() == clip).unwrap();
+    std::iter::from_fn(|| clip.next().unwrap())
+        .take(count)
+        .map(|encoded| decoded(&encoded))
+        .collect()
 }
 
 /// The sizes at which the pictures run, one after the other.
@@ -78,10 +79,11 @@ fn after_ten_pictures_that_agree_the_model_runs_at_the_smallest_input_and_finds_
     let mut at = |size| {
         let prepared = match size {
             WIDE => network.preparation().prepare(picture).unwrap(),
-            _ => {
-                let other = DetectorNetwork::open(&config(project("models/yolox_nano.onnx")));
-                other.unwrap().preparation().prepare(picture).unwrap()
-            }
+            _ => DetectorNetwork::open(&config(project("models/yolox_nano.onnx")))
+                .unwrap()
+                .preparation()
+                .prepare(picture)
+                .unwrap(),
         };
         assert_eq!(prepared.size(), size);
         network.detect(&prepared).unwrap().detections
@@ -198,8 +200,8 @@ async fn cameras_that_share_a_detector_have_each_the_input_of_their_pictures() {
     let wide: Vec<_> = road("two-near", 12).into_iter().map(Arc::new).collect();
     let square = Arc::new(Picture::black(PictureSize::new(500, 500)));
     for picture in wide {
-        let [one, other] = [(CAMERA, picture), (CameraSlot(1), Arc::clone(&square))]
-            .map(|(camera, picture)| detector.detect(camera, picture));
+        let one = detector.detect(CAMERA, picture);
+        let other = detector.detect(CameraSlot(1), Arc::clone(&square));
         let (one, other) = tokio::join!(one, other);
         assert!(!one.unwrap().output.detections.is_empty());
         assert_eq!(other.unwrap().output.detections, []);

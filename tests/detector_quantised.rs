@@ -67,10 +67,9 @@ fn a_quantised_export_is_read_like_its_original_and_finds_what_that_finds() {
     assert_eq!(quantised.class_names(), float.class_names());
     let mut compared = Vec::new();
     let mut same_to_the_bit = true;
-    let road = Pictures::of_archive(&project("demo/road.tar"), 10.0);
-    let clips = road.unwrap().into_clips();
+    let road = Pictures::of_archive(&project("demo/road.tar"), 10.0).unwrap();
     // It is outside the calibration data.
-    let mut clip = clips.into_iter().find(|one| one.name() == "busy").unwrap();
+    let mut clip = road.into_clips().into_iter().find(|one| one.name() == "busy").unwrap();
     let frames = std::iter::from_fn(|| clip.next().unwrap());
     for encoded in frames.step_by(3) {
         let picture = decoded(&encoded);

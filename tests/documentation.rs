@@ -81,15 +81,16 @@ fn blocks() -> Vec<Block> {
 fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
     let mut blocks = blocks();
     blocks.retain(|block| block.mark == "<!-- run -->" && is_wanted(&block.page));
-    let commands = blocks.into_iter().flat_map(|block| block.commands);
-    commands.collect()
+    blocks.into_iter().flat_map(|block| block.commands).collect()
 }
 
 /// The words of a command, without variables before it and a comment after it.
 fn words(line: &str) -> Vec<String> {
-    let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
-    let command = words.into_iter().skip_while(|word| word.contains('='));
-    command.collect()
+    shlex::split(line.trim_end_matches('&'))
+        .unwrap_or_default()
+        .into_iter()
+        .skip_while(|word| word.contains('='))
+        .collect()
 }
 
 #[test]
@@ -101,8 +102,10 @@ fn every_command_parses_and_every_block_is_run_or_says_when_it_was_run_by_hand()
         assert!(marked, "{block:?}");
         let commands = block.commands.iter().map(|command| words(command));
         for command in commands.filter(|command| command[0] == "albireo") {
-            let taken = albireo::cli::Arguments::command().try_get_matches_from(&command);
-            let refused = taken.err().map(|error| error.to_string());
+            let refused = albireo::cli::Arguments::command()
+                .try_get_matches_from(&command)
+                .err()
+                .map(|error| error.to_string());
             assert_eq!(refused, None, "{}: {command:?}", block.page);
             seen += 1;
         }
@@ -161,8 +164,7 @@ fn every_linked_or_named_file_exists_with_the_heading_of_the_link() {
             }
             seen += 1;
         }
-        let lines = text.lines();
-        let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
+        let quoted = text.lines().flat_map(|line| line.split('`').skip(1).step_by(2));
         let named = quoted.filter(|text| folders.iter().any(|folder| text.starts_with(folder)));
         for file in named.filter(|text| !text.contains([' ', '*', '{', '<'])) {
             if !project(file).exists() && file != "benches/gpu.md" {
@@ -361,8 +363,10 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let page = text("docs/cameras.md");
     let commands = commands_to_run(|page| page == "docs/cameras.md");
     let command = |begins: &str| {
-        let found = commands.iter().find(|command| command.starts_with(begins));
-        found.unwrap_or_else(|| panic!("docs/cameras.md has no command `{begins}`"))
+        commands
+            .iter()
+            .find(|command| command.starts_with(begins))
+            .unwrap_or_else(|| panic!("docs/cameras.md has no command `{begins}`"))
     };
     let replaced = |text: &str, theirs: &str, ours: &str| {
         assert_contains(text, &[theirs]);

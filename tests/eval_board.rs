@@ -278,8 +278,7 @@ fn a_clip_that_is_too_large_for_the_memory_is_refused_before_the_first_run() {
         let file = clip.join(format!("{frame}.jpg"));
         fs::write(&file, &picture).unwrap();
         // The rest of its 15 MiB takes no room on the disk.
-        let file = fs::File::options().write(true).open(&file).unwrap();
-        file.set_len(15 << 20).unwrap();
+        fs::File::options().write(true).open(&file).unwrap().set_len(15 << 20).unwrap();
         labels.push(json!({"name": "", "videoName": "large", "frameIndex": frame, "labels": []}));
     }
     fs::write(folder.path().join("large.json"), json!(labels).to_string()).unwrap();

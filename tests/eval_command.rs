@@ -61,8 +61,10 @@ fn one_command_compares_sweeps_traces_and_reports_with_names_escaped() {
     let lacks = "<b>&: the whole clip has no detections";
     assert_contains(&ended.err, &["unlabelled: no ground truth", lacks]);
     let table = ended.succeeds();
-    let mut lines = table.lines();
-    assert!(lines.all(|line| line.chars().count() <= 100), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 100),
+        "{table}"
+    );
     let labels = "vanilla albireo-u3e-4 albireo-u1e-3 fixed-skip-2";
     assert_contains(&table, &labels.split(' ').collect::<Vec<_>>());
     assert_contains(&table, &["p: projected"]);

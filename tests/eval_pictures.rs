@@ -223,8 +223,10 @@ fn pictures_are_judged_by_their_ground_truth_and_their_streams_as_those_of_store
     eval(&format!("recorded {saved} {streams} {second}")).succeeds();
     let line = |folder: &str, file: &str, policy: &str| {
         let text = std::fs::read_to_string(Path::new(folder).join(file)).unwrap();
-        let found = text.lines().find(|line| line.starts_with(policy));
-        let line = found.unwrap_or_else(|| panic!("no {policy} in\n{text}"));
+        let line = text
+            .lines()
+            .find(|line| line.starts_with(policy))
+            .unwrap_or_else(|| panic!("no {policy} in\n{text}"));
         // The columns of the two tables differ in width.
         line.split_whitespace().collect::<Vec<_>>().join(" ")
     };

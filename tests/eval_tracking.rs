@@ -41,8 +41,8 @@ fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
     };
     let is_counted = |found: &&ScoredBox| found.confidence >= SHOWN_CONFIDENCE;
     let rows = |boxes: &Vec<ScoredBox>| boxes.iter().filter(is_counted).map(row).collect();
-    let [tracks, truth] =
-        [tracks, truth].map(|frames| frames.iter().map(rows).collect::<Vec<Value>>());
+    let tracks: Vec<Value> = tracks.iter().map(rows).collect();
+    let truth: Vec<Value> = truth.iter().map(rows).collect();
     json!({"tracks": tracks, "truth": truth})
 }
 

@@ -84,7 +84,8 @@ async fn a_car_on_the_recorded_road_is_told_to_a_hook_and_to_a_broker() {
         wanted.retain(|part| !line.contains(part));
     }
     let overview = json_at(&format!("{}/api/v1/node", node.http)).await;
-    let [mqtt, hook] = [0, 1].map(|place| overview["forwarded"][place].clone());
+    let mqtt = &overview["forwarded"][0];
+    let hook = &overview["forwarded"][1];
     assert!(mqtt["sent"].as_u64() > Some(0), "{overview}");
     assert_eq!(hook["failed"], 2, "{overview}");
     let log = node.stop_well().await.log;

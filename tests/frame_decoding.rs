@@ -54,8 +54,7 @@ fn gradient(width: u32, height: u32) -> Vec<u8> {
             200 - (x + y) * 100 / (width + height),
         ]
     };
-    let values = (0..width * height).flat_map(pixel);
-    values.map(|value| value as u8).collect()
+    (0..width * height).flat_map(pixel).map(|value| value as u8).collect()
 }
 
 /// How a JPEG file stores its picture: once, or in scans that get finer and finer.
@@ -73,8 +72,7 @@ fn jpeg_file(width: u32, height: u32, color: JpegColor, process: Process) -> Enc
     let mut file = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut file, 95);
     encoder.set_progressive(process == Process::Progressive);
-    let written = encoder.encode(&pixels, width as u16, height as u16, color);
-    written.unwrap();
+    encoder.encode(&pixels, width as u16, height as u16, color).unwrap();
     encoded(PictureFormat::Jpeg, width, height, file)
 }
 
@@ -104,14 +102,15 @@ fn png_file(
 
 fn largest_difference(left: &[u8], right: &[u8]) -> u8 {
     assert_eq!(left.len(), right.len());
-    let differences = left.iter().zip(right).map(|(a, b)| a.abs_diff(*b));
-    differences.max().unwrap()
+    left.iter().zip(right).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
 }
 
 /// BT.601 luma in floating point, the reference for the fixed-point one.
 fn luma_of(pixels: &[u8]) -> Vec<u8> {
     let luma = |pixel: &[u8]| {
-        let [r, g, b] = [pixel[0], pixel[1], pixel[2]].map(f64::from);
+        let r = f64::from(pixel[0]);
+        let g = f64::from(pixel[1]);
+        let b = f64::from(pixel[2]);
         (0.299 * r + 0.587 * g + 0.114 * b).round() as u8
     };
     pixels.chunks(3).map(luma).collect()

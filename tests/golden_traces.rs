@@ -30,8 +30,7 @@ pub(crate) const RUNS: [(&str, &str, Screen); 5] = [
 #[case::fixed_skip("fixedskip-2.kitti-0008", [1242, 375])]
 #[case::ctd("ctd-0.50.kitti-0008", [1242, 375])]
 fn golden_excerpt(#[case] name: &str, #[case] size: [u32; 2]) {
-    let run = RUNS.into_iter().find(|(label, ..)| name.starts_with(label));
-    let (_, asked, screen) = run.unwrap();
+    let (_, asked, screen) = RUNS.into_iter().find(|(label, ..)| name.starts_with(label)).unwrap();
     let lines = text(&format!("tests/fixtures/golden/{name}.jsonl"));
     compare_excerpt(&lines, asked, screen, PictureSize::new(size[0], size[1]));
 }

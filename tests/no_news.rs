@@ -21,8 +21,9 @@ use std::time::Instant;
 fn noisy(brightness: u32, seed: u64) -> Vec<u8> {
     let noise =
         |at: u64| (at.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(seed * 977) >> 40) % 5;
-    let pixels = (0..3 * 320 * 180).map(|at| (brightness + noise(at / 3) as u32) as u8);
-    jpeg(&pixels.collect::<Vec<_>>(), [320, 180])
+    let pixels: Vec<_> =
+        (0..3 * 320 * 180).map(|at| (brightness + noise(at / 3) as u32) as u8).collect();
+    jpeg(&pixels, [320, 180])
 }
 
 /// Shows the node frames at ten per second, by their stamps; returns the answers.

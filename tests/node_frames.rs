@@ -325,8 +325,9 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let reply = query.await.unwrap().recv_async().await.unwrap();
-    let answer = reply.into_result();
-    let sample = answer.map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
+    let sample = reply
+        .into_result()
+        .map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }
@@ -343,8 +344,7 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     });
     let mut bench = Bench::start(&config).await;
     let message = std::fs::read(project("tests/fixtures/ros2/compressed_image_0_be.cdr")).unwrap();
-    let put = bench.session.put("camera/image_raw/compressed", message);
-    put.await.unwrap();
+    bench.session.put("camera/image_raw/compressed", message).await.unwrap();
     let answer = bench.answer().await;
     assert_eq!((answer.width, answer.height), (320, 180));
     assert_eq!(answer.t_ns, 1_700_000_000_123_456_789);
@@ -355,7 +355,9 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
 
 /// A colour as BT.601 with limited range writes it: luma, Cb, Cr.
 fn yuv(pixel: &[u8]) -> [u8; 3] {
-    let [r, g, b] = [0, 1, 2].map(|at| f64::from(pixel[at]) / 255.0);
+    let r = f64::from(pixel[0]) / 255.0;
+    let g = f64::from(pixel[1]) / 255.0;
+    let b = f64::from(pixel[2]) / 255.0;
     let luma = 0.299 * r + 0.587 * g + 0.114 * b;
     let [cb, cr] = [(b - luma) / 1.772, (r - luma) / 1.402];
     [16.0 + 219.0 * luma, 128.0 + 224.0 * cb, 128.0 + 224.0 * cr].map(|value| value.round() as u8)
@@ -456,8 +458,8 @@ async fn raw_frames_of_every_layout_with_and_without_padded_rows_give_the_boxes_
             assert!(!expected.boxes.is_empty());
             assert_eq!(answer.boxes.len(), expected.boxes.len(), "{name} {padding}");
             for (found, known) in answer.boxes.iter().zip(&expected.boxes) {
-                let sides = found.corners.iter().zip(&known.corners);
-                let is_there = sides.clone().all(|(a, b)| (a - b).abs() <= 2.0);
+                let is_there =
+                    found.corners.iter().zip(&known.corners).all(|(a, b)| (a - b).abs() <= 2.0);
                 assert!(
                     is_there && found.class == known.class,
                     "{name} {padding}: {found:?}, {known:?}"

@@ -21,9 +21,13 @@ fn the_descriptions_behind_the_pages_are_current_and_each_operation_has_its_own_
             "is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web";
         assert!(kept == now, "{} {remedy}", path.display());
         let description: Value = serde_json::from_str(&now).unwrap();
-        let paths = description["paths"].as_object().unwrap().values();
-        let operations = paths.flat_map(|path| path.as_object().unwrap().values());
-        let ids: Vec<_> = operations.map(|one| one["operationId"].as_str()).collect();
+        let ids: Vec<_> = description["paths"]
+            .as_object()
+            .unwrap()
+            .values()
+            .flat_map(|path| path.as_object().unwrap().values())
+            .map(|operation| operation["operationId"].as_str())
+            .collect();
         let names: BTreeSet<_> = ids.iter().map(|id| id.unwrap()).collect();
         assert!(ids.len() > 15);
         assert_eq!(names.len(), ids.len(), "{names:?}");

@@ -28,8 +28,7 @@ fn now_us() -> u64 {
 }
 
 fn before<T: Ord>(answered: &Answered<T>, moment: u64) -> impl Iterator<Item = &T> {
-    let told = answered.iter().filter(move |(_, at)| **at < moment);
-    told.map(|(what, _)| what)
+    answered.iter().filter(move |(_, at)| **at < moment).map(|(what, _)| what)
 }
 
 /// A folder whose disk loses its power.
@@ -84,15 +83,21 @@ fn number(db: &Connection, query: &str) -> i64 {
 }
 
 fn texts(db: &Connection, query: &str) -> BTreeSet<String> {
-    let mut query = db.prepare(query).unwrap();
-    let rows = query.query_map([], |row| row.get(0)).unwrap();
-    rows.map(Result::unwrap).collect()
+    db.prepare(query)
+        .unwrap()
+        .query_map([], |row| row.get(0))
+        .unwrap()
+        .map(Result::unwrap)
+        .collect()
 }
 
 fn numbers(db: &Connection, query: &str) -> BTreeSet<u64> {
-    let mut query = db.prepare(query).unwrap();
-    let rows = query.query_map([], |row| row.get(0)).unwrap();
-    rows.map(|row: rusqlite::Result<i64>| row.unwrap().unsigned_abs()).collect()
+    db.prepare(query)
+        .unwrap()
+        .query_map([], |row| row.get(0))
+        .unwrap()
+        .map(|row: rusqlite::Result<i64>| row.unwrap().unsigned_abs())
+        .collect()
 }
 
 /// What a hub answered.
@@ -117,8 +122,10 @@ impl Told {
                 r#"{{"u": 0.{}, "select": ["{NODE}"], "wait_s": 0}}"#,
                 1000 + first
             );
-            let put = reqwest::Client::new().put(format!("{}/api/v1/threshold", hub.http));
-            let put = put.header("content-type", "application/json").body(setting);
+            let put = reqwest::Client::new()
+                .put(format!("{}/api/v1/threshold", hub.http))
+                .header("content-type", "application/json")
+                .body(setting);
             let answer = put.send().await.unwrap().text().await.unwrap();
             let answer: Value = serde_json::from_str(&answer).unwrap();
             let revision = answer["revision"].as_u64().unwrap_or_else(|| panic!("{answer}"));
@@ -242,8 +249,9 @@ impl Made {
 
         let delivered = texts(&db, "SELECT hex(id) FROM report WHERE state = 2");
         let stored = database(hub, "hub.db")
-            .map(|(_folder, db)| texts(&db, "SELECT hex(report_id) FROM clips"));
-        let lost = delivered.difference(&stored.unwrap_or_default()).count();
+            .map(|(_folder, db)| texts(&db, "SELECT hex(report_id) FROM clips"))
+            .unwrap_or_default();
+        let lost = delivered.difference(&stored).count();
         assert_eq!(lost, 0, "reports count as delivered that the hub has not");
         self.assert_threshold(node, moment);
     }
@@ -257,13 +265,9 @@ impl Made {
         let Some(kept) = kept else {
             return assert_eq!(answered, 0, "no settings");
         };
-        let mut possible = self.sent[answered.max(1) - 1..].iter();
-        let is_kept = possible.any(|(value, sent)| *value == kept && *sent < moment);
-        assert!(
-            is_kept,
-            "{kept} instead of {:?}",
-            &self.sent[answered.max(1) - 1..]
-        );
+        let possible = &self.sent[answered.max(1) - 1..];
+        let is_kept = possible.iter().any(|(value, sent)| *value == kept && *sent < moment);
+        assert!(is_kept, "{kept} instead of {possible:?}");
     }
 }
 

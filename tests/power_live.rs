@@ -79,9 +79,12 @@ fn near(value: &Value, expected: f64) -> bool {
 }
 
 fn watts(message: &Value, domain: &str) -> f64 {
-    let listed = message["watts"].as_array().unwrap();
-    let entry = listed.iter().find(|entry| entry["domain"] == domain);
-    entry.map_or(0.0, |entry| entry["watts"].as_f64().unwrap())
+    message["watts"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|entry| entry["domain"] == domain)
+        .map_or(0.0, |entry| entry["watts"].as_f64().unwrap())
 }
 
 #[rstest]
@@ -136,8 +139,8 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
     assert_eq!(report["board"]["power_mode"], "MODE_30W", "{report}");
     let metrics = node.text("/metrics").await;
     let series = |name| format!(r#"albireo_energy_{name}_total{{domain="total",source="ina"}}"#);
-    let [joules, seconds] =
-        ["joules", "covered_seconds"].map(|name| value_of(&metrics, &series(name)));
+    let joules = value_of(&metrics, &series("joules"));
+    let seconds = value_of(&metrics, &series("covered_seconds"));
     assert!(seconds >= 2.0, "{metrics}");
     assert!((joules / seconds / 24.0 - 1.0).abs() < 1e-6, "{metrics}");
 

@@ -19,9 +19,10 @@ fn fixture(name: &str) -> String {
 fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
     let expected = &expected[name];
     let read = tegrastats_rails(text).unwrap_or_else(|| panic!("{name}: {text}"));
-    let milliwatts = read.iter().map(|rail| (rail.watts * 1e3).round() as i64);
-    let names = read.iter().map(|rail| rail.name.to_string());
-    let rails: BTreeMap<String, i64> = names.zip(milliwatts).collect();
+    let rails: BTreeMap<String, i64> = read
+        .iter()
+        .map(|rail| (rail.name.to_string(), (rail.watts * 1e3).round() as i64))
+        .collect();
     assert_eq!(rails, expected.rails_mw, "{name}");
     assert_eq!(rails.len(), read.len(), "{name}: a rail is there twice");
     let reading = RailMap::new(None).unwrap().reading(&read);

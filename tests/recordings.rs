@@ -61,8 +61,10 @@ async fn status(node: &Node) -> Value {
 }
 
 fn recordings(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder.join("recordings")).unwrap();
-    let mut paths: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+    let mut paths: Vec<_> = std::fs::read_dir(folder.join("recordings"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     paths.sort();
     paths
 }
@@ -79,8 +81,9 @@ async fn a_recording_is_opened_by_others_after_a_power_cut_and_mended_by_the_nex
     send(&session, 0, &pictures).await;
     let bytes: usize = pictures.iter().map(Vec::len).sum();
     until("the pictures are on the disk", async || {
-        let paths = recordings(node_.folder.path());
-        paths.iter().any(|path| path.metadata().unwrap().len() >= bytes as u64)
+        recordings(node_.folder.path())
+            .iter()
+            .any(|path| path.metadata().unwrap().len() >= bytes as u64)
     })
     .await;
     assert_eq!(status(&node_).await["written_frames"], 20);
@@ -98,8 +101,7 @@ async fn a_recording_is_opened_by_others_after_a_power_cut_and_mended_by_the_nex
     let node_ = node(folder, always).await;
     let path = recordings(node_.folder.path()).remove(0);
     until("it is mended", async || {
-        let end = std::fs::read(&path).unwrap();
-        end.ends_with(b"\x89MCAP0\r\n")
+        std::fs::read(&path).unwrap().ends_with(b"\x89MCAP0\r\n")
     })
     .await;
     let read = script(&json!({"read": path}));
@@ -265,8 +267,7 @@ async fn frames_on_which_the_audit_found_a_difference_become_training_data() {
                     record.when = [\"audit\"]\nrecord.before_s = 0\nrecord.after_s = 0\n";
     let node = node(tempfile::tempdir().unwrap(), settings).await;
     let session = connected(&node).await;
-    let pictures = pictures(120);
-    let far: Vec<_> = pictures.into_iter().step_by(20).collect();
+    let far: Vec<_> = pictures(120).into_iter().step_by(20).collect();
     let series = "albireo_recording_frames_total{outcome=\"audited\"}";
     for (seq, picture) in (0..).zip(&far) {
         send(&session, seq, std::slice::from_ref(picture)).await;

@@ -25,8 +25,8 @@ struct Command {
 }
 
 fn arguments(source: &Path, more: &str) -> ReplayArguments {
-    let source = ["replay", source.to_str().unwrap()].into_iter();
-    Command::parse_from(source.chain(more.split(' '))).replay
+    let words = ["replay", source.to_str().unwrap()].into_iter().chain(more.split(' '));
+    Command::parse_from(words).replay
 }
 
 /// Replays to a receiver that answers each frame as a node does, after `wait`, and returns all frames.
@@ -50,8 +50,9 @@ async fn replayed(source: &Path, more: &str, wait: Duration) -> (Vec<Frame>, Sen
         }
     });
     let connect = format!("--connect {endpoint} --wait-for-subscriber --every {more}");
-    let replay = replay::run(arguments(source, &connect), CancellationToken::new());
-    let sent = replay.await.unwrap();
+    let sent = replay::run(arguments(source, &connect), CancellationToken::new())
+        .await
+        .unwrap();
     let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
     (frames, sent)
 }

@@ -32,8 +32,10 @@ fn word(value: &Value) -> &str {
 
 /// The name without `albireo-`; the program is `the program`.
 fn short(package: &Value) -> String {
-    let name = word(&package["name"]).strip_prefix("albireo-");
-    name.unwrap_or("the program").to_owned()
+    word(&package["name"])
+        .strip_prefix("albireo-")
+        .unwrap_or("the program")
+        .to_owned()
 }
 
 fn dependencies(package: &Value) -> &Vec<Value> {
@@ -42,8 +44,11 @@ fn dependencies(package: &Value) -> &Vec<Value> {
 
 fn sources(package: &Value, folders: &[&str]) -> Vec<String> {
     let manifest = Path::new(word(&package["manifest_path"]));
-    let folders = folders.iter().map(|name| manifest.with_file_name(name));
-    folders.flat_map(|folder| sources_under(&folder)).collect()
+    folders
+        .iter()
+        .map(|name| manifest.with_file_name(name))
+        .flat_map(|folder| sources_under(&folder))
+        .collect()
 }
 
 /// The Rust sources under `folder`, without nested packages.
@@ -65,10 +70,13 @@ type Row = (String, BTreeSet<String>);
 
 /// The rows of the first table on the page whose head begins so.
 fn table(page: &str, head: &str) -> Vec<Row> {
-    let from_head = page.lines().skip_while(|line| !line.starts_with(head));
-    // Below the head is its rule.
-    let rows = from_head.skip(2).take_while(|line| line.starts_with('|'));
-    rows.map(row).collect()
+    page.lines()
+        .skip_while(|line| !line.starts_with(head))
+        // Below the head is its rule.
+        .skip(2)
+        .take_while(|line| line.starts_with('|'))
+        .map(row)
+        .collect()
 }
 
 /// The name in the first column, and the names in the last.
@@ -106,12 +114,15 @@ fn the_method_depends_on_numbers_and_data_alone() {
 
 /// The names with which paths in the code begin: crates, modules and types.
 fn roots(texts: &[String]) -> BTreeSet<&str> {
-    let lines = texts.iter().flat_map(|text| text.lines());
-    let code = lines.filter(|line| !line.trim_start().starts_with("//"));
     let is_outside = |c: char| !(c.is_alphanumeric() || c == '_' || c == ':');
-    let paths = code.flat_map(|line| line.split(is_outside));
-    let roots = paths.filter_map(|path| path.split_once("::"));
-    roots.map(|(root, _)| root).collect()
+    texts
+        .iter()
+        .flat_map(|text| text.lines())
+        .filter(|line| !line.trim_start().starts_with("//"))
+        .flat_map(|line| line.split(is_outside))
+        .filter_map(|path| path.split_once("::"))
+        .map(|(root, _)| root)
+        .collect()
 }
 
 #[test]
@@ -222,8 +233,11 @@ fn crate_paths(code: &str) -> BTreeSet<&str> {
 /// The room of a type that the crate's `root` exports.
 fn room_of_export<'a>(root: &'a str, name: &str) -> Option<&'a str> {
     let ending = format!("::{name};");
-    let mut exports = root.lines().filter_map(|line| line.strip_prefix("pub use "));
-    exports.find(|path| path.ends_with(&ending))?.split("::").next()
+    root.lines()
+        .filter_map(|line| line.strip_prefix("pub use "))
+        .find(|path| path.ends_with(&ending))?
+        .split("::")
+        .next()
 }
 
 #[test]

@@ -277,8 +277,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
         let mut period = tokio::time::interval(Duration::from_millis(50));
         loop {
             period.tick().await;
-            let mut kill = Command::new("kill");
-            let _ = kill.args(["-TERM", &id]).stderr(Stdio::null()).status();
+            let _ = Command::new("kill").args(["-TERM", &id]).stderr(Stdio::null()).status();
         }
     });
     let ended = node.ended().await;

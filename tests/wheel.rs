@@ -61,8 +61,7 @@ fn decided(
     let mut numbers = Vec::new();
     for (index, found) in (0..).zip(recorded) {
         decide_frame(&mut *policy, index, screen, picture, found, &mut outcome);
-        let mut states = FrameState::ALL.iter();
-        let state = states.position(|state| *state == outcome.state).unwrap();
+        let state = FrameState::ALL.iter().position(|state| *state == outcome.state).unwrap();
         let tau = outcome.tau_max.unwrap_or(-1.0);
         numbers.extend([state as f64, tau]);
         numbers.extend([outcome.active as f64, outcome.boxes.len() as f64]);
@@ -138,8 +137,10 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
 #[test]
 #[ignore = "needs the wheel"]
 fn the_wheel_is_small_and_depends_on_numpy_alone() {
-    let entries = std::fs::read_dir(project("target/wheels")).unwrap();
-    let built: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+    let built: Vec<_> = std::fs::read_dir(project("target/wheels"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     let is_of = |path: &PathBuf, kind: &str| path.extension().is_some_and(|own| own == kind);
     let wheels: Vec<_> = built.iter().filter(|path| is_of(path, "whl")).collect();
     assert_eq!(wheels.len(), 1, "one wheel for this machine: {built:?}");

@@ -152,8 +152,7 @@ fn or_default(models: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
 
 /// The name of a file, for tables.
 pub(crate) fn name_of(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default();
-    name.to_string_lossy().into_owned()
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The text of an error with the model's file name instead of its path on this machine.
@@ -171,8 +170,10 @@ pub(crate) fn library() -> anyhow::Result<PathBuf> {
         return Ok(place);
     }
     let entries = std::fs::read_dir(&place).with_context(|| place.display().to_string())?;
-    let files = entries.flatten().map(|entry| entry.path());
-    let libraries = files.filter(|path| name_of(path).starts_with("libonnxruntime.so"));
+    let libraries = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| name_of(path).starts_with("libonnxruntime.so"));
     // The last by name, which is the newest of several versions.
     let newest = libraries.max();
     newest.with_context(|| format!("no libonnxruntime.so in {}", place.display()))

@@ -160,11 +160,17 @@ pub(crate) async fn measure(
 
 /// The most cameras that were carried, and the fewest that were not.
 fn bounds(trials: &[Trial]) -> (Option<&Trial>, Option<&Trial>) {
-    let fewest = trials.iter().filter(|trial| !trial.is_carried());
-    let fewest = fewest.min_by_key(|trial| trial.cameras);
+    let fewest = trials
+        .iter()
+        .filter(|trial| !trial.is_carried())
+        .min_by_key(|trial| trial.cameras);
     let below = |trial: &&Trial| fewest.is_none_or(|fewest| trial.cameras < fewest.cameras);
-    let carried = trials.iter().filter(|trial| trial.is_carried()).filter(below);
-    (carried.max_by_key(|trial| trial.cameras), fewest)
+    let carried = trials
+        .iter()
+        .filter(|trial| trial.is_carried())
+        .filter(below)
+        .max_by_key(|trial| trial.cameras);
+    (carried, fewest)
 }
 
 /// The next number to try. With too many cameras, a node answers as many frames as it can: their share tells about
@@ -247,8 +253,8 @@ fn together(model: &Path, policy: &Policy, trial: &Trial, bench: &Bench<'_>) -> 
     cells.extend(costs(trial));
     cells.push(trial.answers.to_string());
     let energy = trial.energy.unwrap_or_default();
-    let agreement = energy.integrated.zip(energy.counter);
-    cells.push(number(agreement.map(|(power, counter)| power / counter), 3));
+    let agreement = energy.integrated.zip(energy.counter).map(|(power, counter)| power / counter);
+    cells.push(number(agreement, 3));
     cells
 }
 
@@ -339,14 +345,15 @@ impl<'a> Bench<'a> {
         let measured = (RATE * f64::from(self.arguments.seconds)) as u64;
         self.next_frame = counted + measured;
         let frames = from..self.next_frame;
-        let sending: Vec<_> = (0..cameras)
-            .map(|camera| {
-                let node = Arc::clone(&self.node);
-                let pictures = Arc::clone(&self.pictures);
-                let frames = frames.clone();
-                tokio::spawn(async move { node.send(camera, pictures, frames, || false).await })
-            })
-            .collect();
+        let mut sending = Vec::new();
+        for camera in 0..cameras {
+            let node = Arc::clone(&self.node);
+            let pictures = Arc::clone(&self.pictures);
+            let frames = frames.clone();
+            sending.push(tokio::spawn(async move {
+                node.send(camera, pictures, frames, || false).await
+            }));
+        }
         tokio::time::sleep(Duration::from_secs(1)).await;
         let begun = Instant::now();
         let before = self.node.work().await?;

@@ -191,9 +191,11 @@ impl Node {
         let url = format!("http://127.0.0.1:{}/metrics", self.http);
         let metrics = reqwest::get(&url).await?.text().await?;
         let counter = |name: &str| {
-            let line = metrics.lines().find_map(|line| line.strip_prefix(name));
-            let value = line.and_then(|value| value.trim().parse::<f64>().ok());
-            value.with_context(|| format!("/metrics has no {name}"))
+            metrics
+                .lines()
+                .find_map(|line| line.strip_prefix(name))
+                .and_then(|value| value.trim().parse::<f64>().ok())
+                .with_context(|| format!("/metrics has no {name}"))
         };
         Ok(Work {
             pictures: counter("albireo_detector_runs_total{outcome=\"completed\"}")?,

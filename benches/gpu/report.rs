@@ -58,8 +58,9 @@ fn section(
                 seconds,
                 date,
             }) => {
-                let found = found.iter().filter(|row| row.table == name);
-                rows.extend(found.map(|row| row.cells.clone()));
+                let found =
+                    found.iter().filter(|row| row.table == name).map(|row| row.cells.clone());
+                rows.extend(found);
                 measured.push(format!("{} in {seconds:.0} s ({date})", piece.name()));
             }
             Some(Outcome {

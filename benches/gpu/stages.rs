@@ -263,26 +263,25 @@ async fn together(
     }
     let asked = usize::from(arguments.runs).div_ceil(config.batch_size);
     let start = Instant::now();
-    let cameras: Vec<_> = (0..config.batch_size)
-        .map(|camera| {
-            let detector = detector.clone();
-            let mut own = pictures.clone();
-            own.rotate_left(camera % pictures.len());
-            tokio::spawn(async move {
-                let mut answers = Vec::new();
-                for number in 0..asked {
-                    if start.elapsed() > each {
-                        break;
-                    }
-                    let picture = Arc::clone(&own[number % own.len()]);
-                    let answer = detector.detect(CameraSlot(camera), picture).await?;
-                    let model = answer.output.model.as_secs_f64() * 1e3;
-                    answers.push((model, f64::from(answer.pictures)));
+    let mut cameras = Vec::new();
+    for camera in 0..config.batch_size {
+        let detector = detector.clone();
+        let mut own = pictures.clone();
+        own.rotate_left(camera % pictures.len());
+        cameras.push(tokio::spawn(async move {
+            let mut answers = Vec::new();
+            for number in 0..asked {
+                if start.elapsed() > each {
+                    break;
                 }
-                anyhow::Ok(answers)
-            })
-        })
-        .collect();
+                let picture = Arc::clone(&own[number % own.len()]);
+                let answer = detector.detect(CameraSlot(camera), picture).await?;
+                let model = answer.output.model.as_secs_f64() * 1e3;
+                answers.push((model, f64::from(answer.pictures)));
+            }
+            anyhow::Ok(answers)
+        }));
+    }
     let mut answers = Vec::new();
     for camera in cameras {
         answers.extend(camera.await??);

@@ -33,8 +33,9 @@ impl Measured {
     /// The median ratio of the time of `way` to the plain one's, turn by turn.
     fn beside_plain(&self, way: &Way) -> Option<f64> {
         let plain = self.ways.iter().find(|way| way.name == PLAIN)?;
-        let ratios = way.times.iter().zip(&plain.times);
-        median(&ratios.map(|(way, plain)| way / plain).collect::<Vec<_>>())
+        let ratios: Vec<_> =
+            way.times.iter().zip(&plain.times).map(|(way, plain)| way / plain).collect();
+        median(&ratios)
     }
 }
 

@@ -49,14 +49,17 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
         return check_hub(arguments);
     }
     let (config, mut findings) = examine::<NodeConfig>(Some(&arguments.file));
-    let mut detector = Vec::new();
+    let mut detector = None;
     let mut tried = Ok(());
     if let Some(config) = &config {
         if !arguments.file_only {
             let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
             let here = config.here();
-            let missing = here.missing.into_iter();
-            findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
+            for finding in here.missing {
+                if !known.contains(&finding.key) {
+                    findings.push(finding);
+                }
+            }
             detector = here.detector;
         }
         // Also if something is missing: what else does not work is better known at once.
@@ -75,13 +78,13 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
         config.node.name,
         counted(config.cameras.len() as u64, "camera", "cameras"),
     ));
-    if let [reads, notes @ ..] = detector.as_slice() {
+    if let Some(detector) = &detector {
         // The trial has said the same.
         if !arguments.online {
             let model = config.detector.model.display();
-            print(&format!("the detector {model}: {reads}"));
+            print(&format!("the detector {model}: {}", detector.description));
         }
-        for note in notes {
+        if let Some(note) = &detector.wasteful {
             print(&format!("note: detector.model: {note}"));
         }
     }
@@ -103,9 +106,10 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
 #[cfg(feature = "hub")]
 fn is_for_a_hub(file: &std::path::Path) -> bool {
     let text = std::fs::read_to_string(file).unwrap_or_default();
-    let sections = text.lines().filter_map(|line| line.trim().strip_prefix('['));
-    let mut names = sections.filter_map(|rest| rest.split(']').next());
-    names.any(|name| matches!(name.trim(), "hub" | "database"))
+    text.lines()
+        .filter_map(|line| line.trim().strip_prefix('['))
+        .filter_map(|rest| rest.split(']').next())
+        .any(|name| matches!(name.trim(), "hub" | "database"))
 }
 
 #[cfg(feature = "hub")]

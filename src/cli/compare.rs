@@ -126,8 +126,10 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
     let extent = Extent::Seconds(arguments.seconds);
-    let loading = tokio::task::spawn_blocking(move || clip::load(source, extent));
-    let loaded = loading.await.context("reading the clip")?.context("--clip")?;
+    let loaded = tokio::task::spawn_blocking(move || clip::load(source, extent))
+        .await
+        .context("reading the clip")?
+        .context("--clip")?;
     if let Some(warning) = loaded.warning() {
         eprintln!("{warning}");
     }
@@ -376,10 +378,9 @@ fn judge(
             counted(boxes, "box", "boxes")
         );
     }
-    let labels = variants.iter().map(|variant| variant.label.clone());
     Ok(Comparison {
         playing,
-        policies: labels.collect(),
+        policies: variants.iter().map(|variant| variant.label.clone()).collect(),
         boxes_of,
         runs,
     })

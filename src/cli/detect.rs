@@ -296,8 +296,7 @@ fn detect(
     let head_ms = milliseconds(found.head);
     let size = picture.source_size;
     let name_of = |detection: &Detection| {
-        let name = names.get(usize::from(detection.class.0));
-        name.map_or("", String::as_str)
+        names.get(usize::from(detection.class.0)).map_or("", String::as_str)
     };
     if arguments.json {
         let in_json = |detection: &Detection| {

@@ -69,8 +69,8 @@ impl FrameTarget {
         if self.connect.is_empty() && self.listen.is_empty() {
             return DEFAULT_ENDPOINT.to_owned();
         }
-        let all = self.connect.iter().chain(&self.listen);
-        let endpoints: Vec<&str> = all.map(String::as_str).collect();
+        let endpoints: Vec<&str> =
+            self.connect.iter().chain(&self.listen).map(String::as_str).collect();
         endpoints.join(", ")
     }
 }

@@ -61,8 +61,11 @@ fn table(found: &[SourceSurvey], width: usize) -> String {
             line([&name, "no", "", reason]);
             continue;
         }
-        let row_of_total = source.watts.iter().find(|(domain, _)| *domain == "total");
-        let total = row_of_total.map(|(_, watts)| *watts);
+        let total = source
+            .watts
+            .iter()
+            .find(|(domain, _)| *domain == "total")
+            .map(|(_, watts)| *watts);
         let mut summary = scope(source);
         if let Some(share) = source.share_of_core {
             let share = share * 100.0;

@@ -180,15 +180,14 @@ fn a_video_without_frames_is_an_error() {
 
 /// Ground truth in Scalabel format: a car on each of `frames` frames of the clip `video`.
 fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
-    let entries: Vec<String> = (0..frames)
-        .map(|frame| {
-            format!(
-                r#"{{"name":"{frame}","videoName":"{video}","frameIndex":{frame},"labels":[
-                {{"id":"7","category":"car","box2d":{{"x1":100,"y1":100,"x2":200,"y2":200}}}},
-                {{"id":"8","category":"tram","box2d":{{"x1":1,"y1":1,"x2":20,"y2":20}}}}]}}"#
-            )
-        })
-        .collect();
+    let entry = |frame: usize| {
+        format!(
+            r#"{{"name":"{frame}","videoName":"{video}","frameIndex":{frame},"labels":[
+            {{"id":"7","category":"car","box2d":{{"x1":100,"y1":100,"x2":200,"y2":200}}}},
+            {{"id":"8","category":"tram","box2d":{{"x1":1,"y1":1,"x2":20,"y2":20}}}}]}}"#
+        )
+    };
+    let entries: Vec<String> = (0..frames).map(entry).collect();
     let path = folder.join(format!("{video}.json"));
     std::fs::write(&path, format!("[{}]", entries.join(","))).unwrap();
     GroundTruth::read(&[path], TruthFormat::Bdd100k, Rules::Benchmark).unwrap()

@@ -24,6 +24,8 @@ pub(crate) fn given(sequence: &Clip) -> Vec<Vec<ScoredBox>> {
 /// The same detections, in the form of policies.
 pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
     let normalise = |found: ScoredBox| found.normalise(sequence.picture);
-    let frames = given(sequence).into_iter();
-    frames.map(|frame| frame.into_iter().map(normalise).collect()).collect()
+    given(sequence)
+        .into_iter()
+        .map(|frame| frame.into_iter().map(normalise).collect())
+        .collect()
 }

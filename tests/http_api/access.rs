@@ -24,8 +24,12 @@ fn with_file(file: &Path) -> HttpConfig {
 
 /// The status of a request with one more header.
 async fn status_with(node: &Served, header: &str, value: &str) -> u16 {
-    let request = node.request(Method::GET, "/api/v1/threshold");
-    let answer = request.header(header, value).send().await.unwrap();
+    let answer = node
+        .request(Method::GET, "/api/v1/threshold")
+        .header(header, value)
+        .send()
+        .await
+        .unwrap();
     answer.status().as_u16()
 }
 
@@ -84,8 +88,13 @@ async fn a_token_file_is_reloaded_without_a_restart_and_an_invalid_one_keeps_the
     write("the-first-token-of-all\nsecond line\n");
     let node = Served::with(with_file(&file)).await;
     let status = async |token: &str| {
-        let request = node.request(Method::GET, "/metrics").bearer_auth(token);
-        request.send().await.unwrap().status().as_u16()
+        node.request(Method::GET, "/metrics")
+            .bearer_auth(token)
+            .send()
+            .await
+            .unwrap()
+            .status()
+            .as_u16()
     };
     assert_eq!(status("the-first-token-of-all").await, 200);
     node.refused("/metrics", 401).await;
@@ -141,8 +150,8 @@ async fn a_node_open_to_others_needs_protection_or_permission_and_a_token_file_a
 async fn dns_rebinding_and_other_web_origins_are_rejected_unless_configured() {
     const ALLOWED: &str = "access-control-allow-origin";
     let preflight = async |node: &Served, origin: &str| {
-        let request = node.request(Method::OPTIONS, "/api/v1/threshold");
-        let request = request
+        let request = node
+            .request(Method::OPTIONS, "/api/v1/threshold")
             .header("origin", origin)
             .header("access-control-request-method", "PUT")
             .header("access-control-request-headers", "content-type");

@@ -105,8 +105,10 @@ async fn every_documented_route_is_shown_on_a_page_listed_in_the_index_and_answe
     let index = node.json("/api/v1").await;
     assert_eq!(index["cameras"], json!(["front", "rear"]));
     let listed = index["routes"].as_array().unwrap();
-    let mut summaries = listed.iter().map(|route| &route["summary"]);
-    assert!(summaries.all(|summary| summary != ""), "{listed:?}");
+    assert!(
+        listed.iter().all(|route| route["summary"] != ""),
+        "{listed:?}"
+    );
     for (route, _) in operations(&document) {
         let (method, path) = route.split_once(' ').unwrap();
         assert!(listed.iter().any(|one| one["path"] == *path), "{path}");
@@ -134,9 +136,12 @@ async fn every_documented_command_works() {
     let document = node.json("/openapi.json").await;
     let directory = tempfile::tempdir().unwrap();
     for (name, operation) in operations(&document) {
-        let text = operation["description"].as_str().unwrap();
-        let command = text.split('`').find(|part| part.starts_with("curl "));
-        let command = command.unwrap_or_else(|| panic!("{name} shows no command"));
+        let command = operation["description"]
+            .as_str()
+            .unwrap()
+            .split('`')
+            .find(|part| part.starts_with("curl "))
+            .unwrap_or_else(|| panic!("{name} shows no command"));
         let here = command.replace("127.0.0.1:8080", &node.address.to_string());
         assert_ne!(here, command, "{name}");
         // The streams never end by themselves.

@@ -24,8 +24,7 @@ impl Events {
         loop {
             while let Some((event, rest)) = self.text.split_once("\n\n") {
                 let field = |name: &str| {
-                    let found = event.lines().find_map(|line| line.strip_prefix(name));
-                    found.map(str::to_owned)
+                    event.lines().find_map(|line| line.strip_prefix(name)).map(str::to_owned)
                 };
                 let name = field("event: ");
                 let data = field("data: ");

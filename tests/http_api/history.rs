@@ -149,8 +149,12 @@ async fn the_diagnostic_archive_is_complete_and_contains_no_secret() {
     node.board.record_clip(clip("front", 0));
     node.refused("/api/v1/diag", 401).await;
     node.refused("/api/v1/log", 401).await;
-    let request = node.request(reqwest::Method::GET, "/api/v1/diag");
-    let answer = request.bearer_auth(TOKEN).send().await.unwrap();
+    let answer = node
+        .request(reqwest::Method::GET, "/api/v1/diag")
+        .bearer_auth(TOKEN)
+        .send()
+        .await
+        .unwrap();
     assert_eq!(answer.headers()["content-type"], "application/x-tar");
     let folder = tempfile::tempdir().unwrap();
     let archive = folder.path().join("diag.tar");

@@ -111,8 +111,11 @@ async fn next_part(stream: &mut Response, read: &mut Vec<u8>) -> Option<(u64, Ve
         if let Some(end) = ends {
             let head = String::from_utf8(read[..end].to_vec()).unwrap();
             let field = |name: &str| {
-                let line = head.lines().find_map(|line| line.strip_prefix(name));
-                line.unwrap().parse::<u64>().unwrap()
+                head.lines()
+                    .find_map(|line| line.strip_prefix(name))
+                    .unwrap()
+                    .parse::<u64>()
+                    .unwrap()
             };
             let length = field("Content-Length: ") as usize;
             let behind = b"\r\n--frame\r\n";
@@ -204,9 +207,13 @@ async fn clips_come_newest_first_by_camera_in_pages_and_from_a_known_one_on() {
         (of_front, (46..=300).rev().collect(), None),
     ] {
         let answer = node.json(&format!("/api/v1/clips?{query}")).await;
-        let clips = answer["clips"].as_array().unwrap().iter();
-        let found = clips.map(|clip| clip["count"].as_u64().unwrap());
-        assert_eq!(found.collect::<Vec<_>>(), numbers, "{query}");
+        let found: Vec<_> = answer["clips"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|clip| clip["count"].as_u64().unwrap())
+            .collect();
+        assert_eq!(found, numbers, "{query}");
         assert_eq!(answer["next"], json!(next.map(id)), "{query}");
     }
     for query in "limit=0 limit=257 limit=-1 limit=many camera=front&colour=red".split(' ') {
@@ -232,9 +239,12 @@ async fn framework_errors_are_problem_documents_too_with_the_allowed_methods() {
         (Method::OPTIONS, "/api/v1/clips", &["GET"]),
         (Method::POST, "/", &["GET"]),
     ] {
-        let request = node.request(method, path);
-        let request = request.header("content-type", "application/json");
-        let response = request.send().await.unwrap();
+        let response = node
+            .request(method, path)
+            .header("content-type", "application/json")
+            .send()
+            .await
+            .unwrap();
         assert_contains(response.headers()["allow"].to_str().unwrap(), allowed);
         assert_contains(&problem(response, 405).await["allowed"], allowed);
     }

@@ -109,9 +109,12 @@ impl Served {
     }
 
     pub(crate) async fn put(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
-        let request = self.request(Method::PUT, path).body(body);
-        let request = request.header("content-type", "application/json");
-        request.send().await.unwrap()
+        self.request(Method::PUT, path)
+            .body(body)
+            .header("content-type", "application/json")
+            .send()
+            .await
+            .unwrap()
     }
 
     pub(crate) fn ready(&self) {

@@ -122,8 +122,7 @@ async fn a_change_for_all_is_stored_and_reaches_every_camera() {
     let all: Value = response.json().await.unwrap();
     assert_has(&all, &json!({"u": 7e-4, "survives_restart": true}));
     assert!(directory.path().join("node.db").exists());
-    let mut cameras = node.board.cameras.iter();
-    assert!(cameras.all(|camera| camera.threshold() == Some(7e-4)));
+    assert!(node.board.cameras.iter().all(|camera| camera.threshold() == Some(7e-4)));
 }
 
 #[tokio::test]

@@ -17,12 +17,11 @@ pub(crate) fn assert_has(found: &Value, expected: &Value) {
     fn has(found: &Value, expected: &Value) -> bool {
         match (found, expected) {
             (_, Value::Object(members)) => {
-                let mut members = members.iter();
-                members.all(|(name, wanted)| has(&found[name], wanted))
+                members.iter().all(|(name, wanted)| has(&found[name], wanted))
             }
             (Value::Array(found), Value::Array(expected)) => {
-                let mut pairs = found.iter().zip(expected);
-                found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))
+                found.len() == expected.len()
+                    && found.iter().zip(expected).all(|(one, wanted)| has(one, wanted))
             }
             _ => found == expected,
         }

@@ -50,9 +50,12 @@ impl Camera {
             let attachment = attachment(self.seq, None, Some(&format!("clip-{}", self.seq)));
             self.seq += 1;
             // Like `albireo publish`, it does not wait for subscribers that do not read.
-            let frame = self.session.put(&*self.key, self.picture.clone());
-            let frame = frame.congestion_control(CongestionControl::Drop);
-            frame.attachment(attachment).await.unwrap();
+            self.session
+                .put(&*self.key, self.picture.clone())
+                .congestion_control(CongestionControl::Drop)
+                .attachment(attachment)
+                .await
+                .unwrap();
             next(&mut self.answers).await;
         }
     }

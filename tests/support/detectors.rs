@@ -36,8 +36,10 @@ pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
 
 pub(crate) async fn refusal(config: &DetectorConfig) -> String {
     let started = DetectorHandle::start(config).await;
-    let refused = started.err().map(|error| error.to_string());
-    refused.unwrap_or_else(|| panic!("{config:?} was accepted"))
+    started
+        .err()
+        .map(|error| error.to_string())
+        .unwrap_or_else(|| panic!("{config:?} was accepted"))
 }
 
 pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Vec<Detection> {

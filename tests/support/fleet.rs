@@ -73,8 +73,7 @@ impl HubProcess {
 
     /// Starts a hub with a command that wraps the program.
     pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
-        let mut named = settings.iter();
-        let http = named.find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
+        let http = settings.iter().find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
         let log = tempfile::NamedTempFile::new().expect("a log");
         command
             .arg("hub")

@@ -116,10 +116,11 @@ pub(crate) async fn json_at(url: &str) -> Value {
 
 #[track_caller]
 pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
-    let mut lines = metrics.lines();
-    let rest = lines.find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
-    let value = rest.and_then(|rest| rest.split(' ').next()?.parse().ok());
-    value.unwrap_or_else(|| panic!("no {series} in {metrics}"))
+    metrics
+        .lines()
+        .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '))
+        .and_then(|rest| rest.split(' ').next()?.parse().ok())
+        .unwrap_or_else(|| panic!("no {series} in {metrics}"))
 }
 
 pub(crate) async fn metric(http: &str, series: &str) -> f64 {
@@ -141,10 +142,12 @@ pub(crate) async fn subscribe<T: Send + 'static>(
     read: impl Fn(Sample) -> T + Send + Sync + 'static,
 ) -> UnboundedReceiver<T> {
     let (sender, messages) = unbounded_channel();
-    let subscriber = session
+    session
         .declare_subscriber(key.to_owned())
-        .callback(move |sample| drop(sender.send(read(sample))));
-    subscriber.background().await.unwrap();
+        .callback(move |sample| drop(sender.send(read(sample))))
+        .background()
+        .await
+        .unwrap();
     messages
 }
 

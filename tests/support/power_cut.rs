@@ -64,8 +64,9 @@ impl Recording {
     pub(crate) async fn of(program: u32, trace: &Path, folder: &Path, start: Files) -> Self {
         let end = format!("{program} ");
         let is_whole = |text: &str| {
-            let mut last = text.lines().filter(|line| line.starts_with(&end));
-            last.any(|line| line.ends_with("+++ killed by SIGKILL +++"))
+            text.lines()
+                .filter(|line| line.starts_with(&end))
+                .any(|line| line.ends_with("+++ killed by SIGKILL +++"))
         };
         until("the trace is whole", async || {
             is_whole(&std::fs::read_to_string(trace).unwrap_or_default())
@@ -323,7 +324,9 @@ impl Disk {
 #[test]
 fn a_power_cut_takes_what_was_not_synced_and_a_name_whose_folder_was_not() {
     let hex = |text: &str| text.bytes().map(|byte| format!("\\x{byte:02x}")).collect::<String>();
-    let [folder, new, file] = ["/d", "/d/new", "/d/file"].map(hex);
+    let folder = hex("/d");
+    let new = hex("/d/new");
+    let file = hex("/d/file");
     let old = hex("old");
     let next = hex("next");
     let text = [
@@ -338,10 +341,14 @@ fn a_power_cut_takes_what_was_not_synced_and_a_name_whose_folder_was_not() {
         format!("fdatasync(3<{file}> <unfinished ...>"),
         "<... fdatasync resumed>) = 0".to_owned(),
     ];
-    let lines = text.iter().enumerate().map(|(time, line)| format!("7  0.{time:06} {line}\n"));
+    let lines: String = text
+        .iter()
+        .enumerate()
+        .map(|(time, line)| format!("7  0.{time:06} {line}\n"))
+        .collect();
     let recording = Recording {
         start: Files::new(),
-        trace: Trace::read(&lines.collect::<String>(), Path::new("/d")),
+        trace: Trace::read(&lines, Path::new("/d")),
     };
     let left = |moment: u64, all: bool| {
         let files = recording.disk(moment).cut(|| all);

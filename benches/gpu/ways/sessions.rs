@@ -292,8 +292,10 @@ fn plain<T: Element>(
         let input = TensorRef::from_array_view((shape.clone(), input))?;
         let outputs = session.run(ort::inputs![input])?;
         let took = since(start);
-        let values = (0..outputs.len()).map(|index| values(&outputs[index]));
-        Ok((values.collect::<ort::Result<_>>()?, took))
+        let values = (0..outputs.len())
+            .map(|index| values(&outputs[index]))
+            .collect::<ort::Result<_>>()?;
+        Ok((values, took))
     }
 }
 
@@ -311,8 +313,10 @@ fn bound<'a, T: Element>(mut session: Session, shape: &[i64]) -> ort::Result<Run
         binding.bind_input(input_name.as_str(), &host)?;
         let outputs = session.run_binding(&binding)?;
         let took = since(start);
-        let values = (0..outputs.len()).map(|index| values(&outputs[index]));
-        Ok((values.collect::<ort::Result<_>>()?, took))
+        let values = (0..outputs.len())
+            .map(|index| values(&outputs[index]))
+            .collect::<ort::Result<_>>()?;
+        Ok((values, took))
     }))
 }
 
@@ -361,8 +365,9 @@ fn on_the_device<'a, T: Element>(
             output.device.copy_into(&mut output.host)?;
         }
         let took = since(start);
-        let values = outputs.iter().map(|output| values(&output.host));
-        Ok((values.collect::<ort::Result<_>>()?, took))
+        let values =
+            outputs.iter().map(|output| values(&output.host)).collect::<ort::Result<_>>()?;
+        Ok((values, took))
     }))
 }
 
@@ -386,11 +391,8 @@ fn output_shapes<T: Element>(
 fn names(session: &Session) -> ort::Result<(String, Vec<String>)> {
     let input = session.inputs().first();
     let input = input.ok_or_else(|| ort::Error::new("it has no input"))?;
-    let outputs = session.outputs().iter();
-    Ok((
-        input.name().to_owned(),
-        outputs.map(|output| output.name().to_owned()).collect(),
-    ))
+    let outputs = session.outputs().iter().map(|output| output.name().to_owned()).collect();
+    Ok((input.name().to_owned(), outputs))
 }
 
 fn values<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> ort::Result<Vec<f32>> {

@@ -99,8 +99,10 @@ fn edgefirst_box(detection: &Detection) -> EdgefirstBox {
 
 fn measured(detection: &Detection) -> Measured {
     let corners = detection.bounding_box.pixel_corners(PICTURE);
-    let [x1, y1, x2, y2] =
-        [corners.x1, corners.y1, corners.x2, corners.y2].map(|value| value as f32);
+    let x1 = corners.x1 as f32;
+    let y1 = corners.y1 as f32;
+    let x2 = corners.x2 as f32;
+    let y2 = corners.y2 as f32;
     (
         [x1, y1, x2 - x1, y2 - y1],
         detection.confidence as f32,
@@ -218,8 +220,7 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
             "edgefirst-tracker 0.38.2 ByteTrack",
             theirs(&film.edgefirst, move |frame| {
                 time_ns += 33_333_333;
-                let followed = edgefirst.update(&frame, time_ns);
-                followed.iter().flatten().count()
+                edgefirst.update(&frame, time_ns).iter().flatten().count()
             }),
         ),
     ])

@@ -21,30 +21,29 @@ fn picture(shift: f64, scale: f64) -> Vec<u8> {
         (128.0 + 20.0 * sum).clamp(0.0, 255.0) as u8
     };
     let place = |at: usize, shift: f64| (at as f64 - shift) / scale;
-    (0..WIDTH * HEIGHT)
-        .map(|index| {
-            value(
-                place(index % WIDTH, shift),
-                place(index / WIDTH, shift / 2.0),
-            )
-        })
-        .collect()
+    let mut pixels = Vec::new();
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            pixels.push(value(place(x, shift), place(y, shift / 2.0)));
+        }
+    }
+    pixels
 }
 
 fn boxes() -> Vec<Corners> {
-    (0..10u32)
-        .map(|index| {
-            let side = 14.0 + 6.0 * f64::from(index);
-            let x = 8.0 + 24.0 * f64::from(index);
-            let y = 20.0 + 9.0 * f64::from(index % 4);
-            Corners {
-                x1: x,
-                y1: y,
-                x2: x + 1.3 * side,
-                y2: y + side,
-            }
-        })
-        .collect()
+    let mut boxes = Vec::new();
+    for index in 0..10u32 {
+        let side = 14.0 + 6.0 * f64::from(index);
+        let x = 8.0 + 24.0 * f64::from(index);
+        let y = 20.0 + 9.0 * f64::from(index % 4);
+        boxes.push(Corners {
+            x1: x,
+            y1: y,
+            x2: x + 1.3 * side,
+            y2: y + side,
+        });
+    }
+    boxes
 }
 
 fn flow(c: &mut Criterion) {

@@ -132,9 +132,12 @@ impl Corners {
 
     /// Clips normalised corners to the picture.
     pub fn clipped(self) -> Self {
-        let Self { x1, y1, x2, y2 } = self;
-        let [x1, y1, x2, y2] = [x1, y1, x2, y2].map(|side| side.clamp(0.0, 1.0));
-        Self { x1, y1, x2, y2 }
+        Self {
+            x1: self.x1.clamp(0.0, 1.0),
+            y1: self.y1.clamp(0.0, 1.0),
+            x2: self.x2.clamp(0.0, 1.0),
+            y2: self.y2.clamp(0.0, 1.0),
+        }
     }
 
     /// Returns the area; zero for an inverted box.

@@ -331,8 +331,7 @@ pub(crate) fn stacked(
             .x_label_formatter(&|value| label(*value, decimals))
             .draw()?;
         let text = |size: i32, ink: RGBColor, h: HPos| {
-            let style = (FONT, size).into_font().color(&ink);
-            style.pos(Pos::new(h, VPos::Center))
+            (FONT, size).into_font().color(&ink).pos(Pos::new(h, VPos::Center))
         };
         for (row, (name, values)) in rows.iter().enumerate() {
             let middle = (count - row) as f64 - 0.5;

@@ -83,8 +83,7 @@ pub(crate) fn replay(
             Profile::Paper => {
                 let boxes = &decided.outcome.boxes;
                 result.boxes.push(score_published(boxes, picture, min_confidence));
-                let boxes_all = result.boxes_all.get_or_insert_default();
-                boxes_all.push(score_all(boxes, picture));
+                result.boxes_all.get_or_insert_default().push(score_all(boxes, picture));
             }
             Profile::Reference => {
                 let undecayed = score_by_published_evaluator(&objects, decided.outcome, picture);

@@ -219,8 +219,9 @@ pub(crate) fn of_baseline<'a, T>(
     groups: &ByPolicy<'a, T>,
     clip: fn(&T) -> &str,
 ) -> HashMap<&'a str, &'a T> {
-    let baseline = groups.iter().filter(|(policy, _)| *policy == BASELINE);
-    baseline
+    groups
+        .iter()
+        .filter(|(policy, _)| *policy == BASELINE)
         .flat_map(|(_, results)| results.iter().map(|&result| (clip(result), result)))
         .collect()
 }

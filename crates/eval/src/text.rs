@@ -36,8 +36,12 @@ impl Column {
 
     /// The width of the widest header line or cell.
     pub(crate) fn width(&self) -> usize {
-        let texts = self.heads.iter().chain(&self.cells);
-        texts.map(|text| text.chars().count()).max().unwrap_or(0)
+        self.heads
+            .iter()
+            .chain(&self.cells)
+            .map(|text| text.chars().count())
+            .max()
+            .unwrap_or(0)
     }
 }
 

@@ -319,8 +319,10 @@ async fn postgres_days_are_partitions_and_are_dropped_whole() {
     let mut connection = sqlx::PgConnection::connect(&server.url()).await.unwrap();
     let mut rows = async |table: &str| -> Option<i64> {
         let text = format!("SELECT count(*) FROM {table}");
-        let count = sqlx::query_scalar(sqlx::AssertSqlSafe(text));
-        count.fetch_one(&mut connection).await.ok()
+        sqlx::query_scalar(sqlx::AssertSqlSafe(text))
+            .fetch_one(&mut connection)
+            .await
+            .ok()
     };
     let today = now_ns() / 86_400_000_000_000;
     record(14, &[(1, 0), (2, 5)]).await.unwrap();

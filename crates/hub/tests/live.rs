@@ -53,8 +53,7 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
         .callback(move |query| {
             let Err(query) = first.set(query) else { return };
             let key = query.key_expr().clone();
-            let reply = query.reply(key, b"\xff\xd8\xffjpeg".to_vec());
-            let _ = reply.attachment("42").wait();
+            let _ = query.reply(key, b"\xff\xd8\xffjpeg".to_vec()).attachment("42").wait();
         })
         .await
         .unwrap();

@@ -110,8 +110,7 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
         config.presence.offline_after_s = 4.0;
     })
     .await;
-    let tokens = hub.uplink.liveliness();
-    let token = tokens.declare_token("albireo/@alive/car-9").await.unwrap();
+    let token = hub.uplink.liveliness().declare_token("albireo/@alive/car-9").await.unwrap();
     hub.put_status("car-9", &full_status(10, 0, &[])).await;
     hub.until_state("car-9", "online").await;
 

@@ -22,8 +22,12 @@ async fn commits(hub: &Hub) -> u64 {
         .text()
         .await
         .unwrap();
-    let line = metrics.lines().find_map(|line| line.strip_prefix("albireo_hub_commits_total "));
-    line.unwrap().parse().unwrap()
+    metrics
+        .lines()
+        .find_map(|line| line.strip_prefix("albireo_hub_commits_total "))
+        .unwrap()
+        .parse()
+        .unwrap()
 }
 
 /// Asserts that the hub is not ready, and stays so while it commits other rows than reports.

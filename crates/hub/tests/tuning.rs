@@ -99,9 +99,13 @@ fn all(u: f64) -> Value {
 
 /// The threshold that each node reports.
 pub(crate) fn values(nodes: &Value) -> Vec<f64> {
-    let nodes = nodes["nodes"].as_array().unwrap().iter();
     let value = |node: &Value| node["status"]["cameras"][0]["threshold"]["value"].as_f64();
-    nodes.map(|node| value(node).unwrap()).collect()
+    nodes["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| value(node).unwrap())
+        .collect()
 }
 
 async fn all_have(hub: &Hub, nodes: usize, u: f64) {
@@ -143,8 +147,10 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     let text = response.text().await.unwrap();
     let lines: Vec<Value> = text.lines().map(serde_json::from_str).map(Result::unwrap).collect();
     assert_eq!(lines.len(), 5, "{text}");
-    let mut outcomes = lines[..4].iter().map(|line| &line["outcome"]);
-    assert!(outcomes.all(|outcome| outcome == "applied"), "{text}");
+    assert!(
+        lines[..4].iter().all(|line| line["outcome"] == "applied"),
+        "{text}"
+    );
     assert_eq!(lines[4]["counts"], json!({"applied": 4}));
 
     // A node that reports an impossible revision is named, and uses up no revisions.
@@ -261,8 +267,8 @@ async fn ended(hub: &Hub, path: &str) -> Value {
 async fn have_clips(hub: &Hub, nodes: usize, clips: u64) {
     hub.until("/api/v1/energy?by=node", |energy| {
         energy["groups"].as_array().is_some_and(|groups| {
-            let mut counts = groups.iter().map(|group| group["clips"].as_u64());
-            groups.len() >= nodes && counts.all(|count| count >= Some(clips))
+            groups.len() >= nodes
+                && groups.iter().all(|group| group["clips"].as_u64() >= Some(clips))
         })
     })
     .await;
@@ -288,10 +294,18 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     put(&hub, other, json!({"refused": 1})).await;
     let returned = ended(&hub, "/api/v1/rollouts/1").await;
     assert_eq!(returned["phase"], "returned", "{returned}");
-    let mut record = returned["record"].as_array().unwrap().iter();
-    let judged = record.rfind(|entry| entry["what"] == "judged").unwrap();
-    let mut gates = judged["gates"].as_array().unwrap().iter();
-    let gate = gates.find(|gate| gate["verdict"] == "failed").unwrap();
+    let judged = returned["record"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .rfind(|entry| entry["what"] == "judged")
+        .unwrap();
+    let gate = judged["gates"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|gate| gate["verdict"] == "failed")
+        .unwrap();
     let expected =
         json!({"gate": "joules<=+10%", "figure": "joules_measured", "nodes": 9, "compared": 10});
     assert_has(gate, &expected);
@@ -299,8 +313,12 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     all_have(&hub, 20, 3e-4).await;
     // The first node took the value and kept reporting; nine more showed its cost, and all ten got the old value back.
     let revisions = hub.get("/api/v1/revisions").await;
-    let made = revisions["revisions"].as_array().unwrap().iter();
-    let origins: Vec<&Value> = made.map(|change| &change["origin"]).collect();
+    let origins: Vec<&Value> = revisions["revisions"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|change| &change["origin"])
+        .collect();
     assert_eq!(origins, ["rollout 1"; 3], "{revisions}");
 
     // The first value changes so many frames that the difference is far above any noise.
@@ -312,8 +330,11 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     let done = hub.until("/api/v1/trials/1", is_done).await;
     let arms = done["result"]["values"].as_array().unwrap();
     assert!(arms.iter().all(|arm| arm["applied"] == 10), "{done}");
-    let mut figures = arms[1]["figures"].as_array().unwrap().iter();
-    let joules = figures.find(|one| one["figure"] == "joules_measured");
+    let joules = arms[1]["figures"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|one| one["figure"] == "joules_measured");
     let difference = &joules.unwrap()["difference"];
     assert!(difference["upper"].as_f64().unwrap() < 0.0, "{done}");
     all_have(&hub, 20, 3e-4).await;

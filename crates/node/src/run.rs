@@ -163,8 +163,10 @@ fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, 
         .clone()
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let in_force = cameras.filter_map(|camera| camera.threshold_in_force());
-    let thresholds: BTreeSet<_> = in_force.map(|threshold| threshold.to_string()).collect();
+    let thresholds: BTreeSet<_> = cameras
+        .filter_map(|camera| camera.threshold_in_force())
+        .map(|threshold| threshold.to_string())
+        .collect();
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         node = config.node.name,

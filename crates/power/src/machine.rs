@@ -149,8 +149,12 @@ fn cores(sys: &Path) -> Vec<PathBuf> {
 }
 
 fn clocks(cores: &[PathBuf]) -> Vec<PathBuf> {
-    let files = cores.iter().map(|core| core.join("cpufreq/scaling_cur_freq"));
-    files.filter(|file| file.exists()).take(MOST_CORES).collect()
+    cores
+        .iter()
+        .map(|core| core.join("cpufreq/scaling_cur_freq"))
+        .filter(|file| file.exists())
+        .take(MOST_CORES)
+        .collect()
 }
 
 /// The type of a thermal zone or a cooling device.
@@ -253,11 +257,9 @@ fn follow_mode(nvpmodel: PathBuf, period: Duration) -> (Option<String>, Receiver
 
 /// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, followed by its number.
 fn ask(nvpmodel: &Path) -> Option<String> {
-    let mut command = Command::new(nvpmodel);
-    let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
+    let output = Command::new(nvpmodel).arg("-q").stdin(Stdio::null()).output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout);
-    let mut lines = text.lines();
-    let mode = lines.find_map(|line| line.trim().strip_prefix("NV Power Mode:"))?;
+    let mode = text.lines().find_map(|line| line.trim().strip_prefix("NV Power Mode:"))?;
     Some(mode.trim().to_owned())
 }
 

@@ -40,14 +40,18 @@ impl RailTable {
 
     fn knows(&self, rail: &str) -> bool {
         let domains = self.domains().map(|(_, rails)| rails);
-        let lists = [&self.input, &self.sum, &self.other].into_iter();
-        lists.chain(domains).flatten().any(|name| name == rail)
+        [&self.input, &self.sum, &self.other]
+            .into_iter()
+            .chain(domains)
+            .flatten()
+            .any(|name| name == rail)
     }
 
     fn domain_of(&self, rail: &str) -> Option<Domain> {
-        let mut domains = self.domains().into_iter();
-        let found = domains.find(|(_, rails)| rails.iter().any(|name| name == rail));
-        found.map(|(domain, _)| domain)
+        self.domains()
+            .into_iter()
+            .find(|(_, rails)| rails.iter().any(|name| name == rail))
+            .map(|(domain, _)| domain)
     }
 
     /// Returns why the table cannot be used, if it cannot: it counts a rail twice or has no total.
@@ -167,8 +171,11 @@ fn best_table<'a>(tables: &'a [RailTable], rails: &[RailWatts]) -> Option<&'a Ra
 
 /// Returns the first input rail that shows power. No machine runs on nothing: a rail that shows none is not connected.
 fn live_input<'a>(table: &'a RailTable, rails: &[RailWatts]) -> Option<&'a str> {
-    let mut names = table.input.iter().map(String::as_str);
-    names.find(|name| watts_of(rails, name).is_some_and(|watts| watts > 0.0))
+    table
+        .input
+        .iter()
+        .map(String::as_str)
+        .find(|name| watts_of(rails, name).is_some_and(|watts| watts > 0.0))
 }
 
 /// The power of a rail, if it was read.

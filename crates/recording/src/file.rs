@@ -222,8 +222,10 @@ pub(crate) fn create_writer(path: &Path) -> Result<(Writer<NoSeek<File>>, File),
 /// What a viewer plots of a frame.
 fn figures(detections: &DetectionsMessage, position: Option<&Position>) -> Figures {
     // As a number, because viewers plot no names.
-    let state_index = FrameState::ALL.iter().position(|state| *state == detections.state);
-    let state_number = state_index.and_then(|index| i32::try_from(index).ok());
+    let state_number = FrameState::ALL
+        .iter()
+        .position(|state| *state == detections.state)
+        .and_then(|index| i32::try_from(index).ok());
     let threshold = detections.threshold.map(|threshold| threshold.value);
     let objects = detections.boxes.iter().filter_map(|found| found.object);
     Figures {

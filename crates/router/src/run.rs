@@ -82,8 +82,7 @@ impl RouterOptions {
         let config = self.zenoh().ok();
         let keys = config.iter().flat_map(|config| identity::tls_files(config, "private_key"));
         let token = self.http_token_file.clone().map(|file| ("--http-token-file".to_owned(), file));
-        let files = keys.chain(token);
-        files.filter_map(|(key, file)| exposed(&key, &file)).collect()
+        keys.chain(token).filter_map(|(key, file)| exposed(&key, &file)).collect()
     }
 
     /// Returns the HTTP configuration for health and metrics.

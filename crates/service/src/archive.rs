@@ -10,8 +10,10 @@ use tar::{Builder, Header};
 /// Returns the archive `NAME-SECONDS.tar` with these files, in order, followed by the last lines of the log. All files
 /// have the time `at_s` (seconds since the Unix epoch).
 pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response {
-    let lines = logging::lines_after(0, usize::MAX).into_iter();
-    let text: String = lines.map(|line| format!("{line}\n")).collect();
+    let text: String = logging::lines_after(0, usize::MAX)
+        .into_iter()
+        .map(|line| format!("{line}\n"))
+        .collect();
     let log = ("log.txt", text.into_bytes());
     let disposition = format!("attachment; filename=\"{name}-{at_s}.tar\"");
     let headers = [

@@ -114,8 +114,9 @@ impl Certificate {
     }
 
     fn is_valid(&self, now_s: i64) -> bool {
-        let validity = self.validity.as_ref();
-        validity.is_ok_and(|known| (known.from_s..known.until_s).contains(&now_s))
+        self.validity
+            .as_ref()
+            .is_ok_and(|known| (known.from_s..known.until_s).contains(&now_s))
     }
 
     /// Why it cannot be used at this time, or soon cannot. The text is the same all day.
@@ -125,7 +126,9 @@ impl Certificate {
             Ok(validity) => *validity,
             Err(error) => return Some(format!("{shown} cannot be read: {error}")),
         };
-        let [from, until, today] = [from_s, until_s, now_s].map(date);
+        let from = date(from_s);
+        let until = date(until_s);
+        let today = date(now_s);
         let renew = "renew it with `albireo cert renew`, and put the new file in its place";
         if now_s < from_s {
             Some(format!(
@@ -173,8 +176,11 @@ fn validity(file: &Path, of_authorities: bool) -> Result<Validity, String> {
 /// `2026-12-24`.
 fn date(at_s: i64) -> String {
     let since = Duration::from_secs(u64::try_from(at_s).unwrap_or(0));
-    let text = humantime::format_rfc3339_seconds(UNIX_EPOCH + since).to_string();
-    text.chars().take(10).collect()
+    humantime::format_rfc3339_seconds(UNIX_EPOCH + since)
+        .to_string()
+        .chars()
+        .take(10)
+        .collect()
 }
 
 /// The certificates with which a service identifies itself and those it trusts. Clones share them.
@@ -184,8 +190,8 @@ pub struct Certificates(Arc<RwLock<Vec<Certificate>>>);
 impl Certificates {
     /// Reads certificate files, each under the name of its key.
     pub fn read(files: impl IntoIterator<Item = (String, PathBuf)>) -> Self {
-        let read = files.into_iter().map(|(key, file)| Certificate::read(key, file));
-        Self(Arc::new(RwLock::new(read.collect())))
+        let read = files.into_iter().map(|(key, file)| Certificate::read(key, file)).collect();
+        Self(Arc::new(RwLock::new(read)))
     }
 
     /// Reads the files again every minute, and logs once a day those that end soon, for as long as it is polled.
@@ -225,13 +231,15 @@ impl Certificates {
     /// Until when each certificate is valid.
     pub fn status(&self) -> Vec<CertificateStatus> {
         let known = self.0.read();
-        let valid = known.iter().filter_map(|one| {
-            Some(CertificateStatus {
-                name: one.key.clone(),
-                until_s: one.validity.as_ref().ok()?.until_s,
+        known
+            .iter()
+            .filter_map(|one| {
+                Some(CertificateStatus {
+                    name: one.key.clone(),
+                    until_s: one.validity.as_ref().ok()?.until_s,
+                })
             })
-        });
-        valid.collect()
+            .collect()
     }
 
     /// Why some of them cannot be used now, or soon cannot.

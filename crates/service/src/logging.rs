@@ -130,8 +130,7 @@ mod tests {
     #[test]
     fn ort_logs_only_warnings_unless_configured() {
         let directives = |level: &str| -> Vec<String> {
-            let filter = filter(level).to_string();
-            filter.split(',').map(str::to_owned).collect()
+            filter(level).to_string().split(',').map(str::to_owned).collect()
         };
         assert!(directives("info").contains(&"ort=warn".to_owned()));
         let variable = directives("info,ort=debug");

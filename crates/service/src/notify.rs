@@ -127,8 +127,10 @@ fn status(health: &HealthStatus, stuck: Option<&str>) -> String {
         None => sentence(health),
     };
     // A line break would end the message.
-    let line = text.chars().map(|c| if c.is_control() { ' ' } else { c });
-    line.take(LONGEST).collect()
+    text.chars()
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .take(LONGEST)
+        .collect()
 }
 
 #[cfg(test)]

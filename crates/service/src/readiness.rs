@@ -98,8 +98,7 @@ pub struct Health {
 impl Health {
     /// The worst effect of all faults.
     pub fn state(&self) -> HealthState {
-        let effects = self.faults.iter().map(|fault| fault.fault.effect);
-        effects.max().unwrap_or_default()
+        self.faults.iter().map(|fault| fault.fault.effect).max().unwrap_or_default()
     }
 
     /// True if the service does its work, possibly with a part missing.

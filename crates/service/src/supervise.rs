@@ -182,8 +182,7 @@ impl Supervisor {
         if stopping {
             return Ok(());
         }
-        let part = self.readiness.part_of(PART, task.clone());
-        part.not_ready(reason.clone());
+        self.readiness.part_of(PART, task.clone()).not_ready(reason.clone());
         Err(TaskFailed { task, reason })
     }
 

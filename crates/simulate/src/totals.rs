@@ -33,8 +33,8 @@ impl Delays {
         // The nearest rank: the smallest delay that a share `q` of all does not exceed.
         let quantile = |q: f64| {
             let rank = (q * delays.len() as f64).ceil() as usize;
-            let us = delays.get(rank.saturating_sub(1)).copied();
-            f64::from(us.unwrap_or(0)) / 1e3
+            let us = delays.get(rank.saturating_sub(1)).copied().unwrap_or(0);
+            f64::from(us) / 1e3
         };
         DelaySummary {
             count: delays.len() as u64,

@@ -209,7 +209,9 @@ impl PixelWork {
     /// Returns the detector's input of a picture; `None` if the picture is broken. Takes no place: call it only while no
     /// frame waits.
     pub async fn prepared(&self, encoded: EncodedPicture) -> Option<PreparedPicture> {
-        let made = self.prepare(PreparedFrame::default(), encoded, Stage::Prepared);
-        made.await.ok()?.prepared
+        self.prepare(PreparedFrame::default(), encoded, Stage::Prepared)
+            .await
+            .ok()?
+            .prepared
     }
 }

@@ -122,8 +122,9 @@ fn main() {
         }
         "expected-loss/detector" => {
             let trigger = Trigger::ExpectedLoss { lambda: 0.0 };
-            let policy = ExpectedLoss::new(ExpectedLossSettings::default(), trigger);
-            detector_frames(policy.expect("the settings can be used"), objects, laps);
+            let policy = ExpectedLoss::new(ExpectedLossSettings::default(), trigger)
+                .expect("the settings can be used");
+            detector_frames(policy, objects, laps);
         }
         "albireo/predicted" => predicted_frames(objects, laps, |outcome| {
             black_box(outcome);

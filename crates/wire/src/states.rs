@@ -106,8 +106,10 @@ impl DetectorCalls {
 
 impl Serialize for DetectorCalls {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let occurred = self.by_cause().filter(|(_, count)| *count > 0);
-        let by_name = occurred.map(|(cause, count)| (cause.as_str(), count));
+        let by_name = self
+            .by_cause()
+            .filter(|(_, count)| *count > 0)
+            .map(|(cause, count)| (cause.as_str(), count));
         serializer.collect_map(by_name)
     }
 }

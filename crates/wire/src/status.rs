@@ -96,8 +96,9 @@ pub struct HealthStatus {
 impl HealthStatus {
     /// The problems as one text; empty when ready.
     pub fn text(&self) -> String {
-        let reasons = self.reasons.iter().map(|(part, reason)| format!("{part}: {reason}"));
-        reasons.collect::<Vec<_>>().join("; ")
+        let reasons: Vec<_> =
+            self.reasons.iter().map(|(part, reason)| format!("{part}: {reason}")).collect();
+        reasons.join("; ")
     }
 }
 

@@ -181,18 +181,19 @@ fn sixty_points_of_a_way_add_a_third_of_a_kilobyte_to_a_compressed_report() {
     let reports = batch.reports.len();
     let mut place = [13.4_f64, 52.52];
     for (number, report) in batch.reports.iter_mut().enumerate() {
-        let points = (0..MOST_TRACK_POINTS).map(|at| {
+        let mut track = Vec::new();
+        for at in 0..MOST_TRACK_POINTS {
             // A town's streets: forty metres on, with a turn now and then.
             let angle = ((number * MOST_TRACK_POINTS + at) as f64 * 0.7).sin() * 2.0;
             place[0] += 6e-4 * angle.cos();
             place[1] += 3.6e-4 * angle.sin();
-            place.map(|degrees| (degrees * 1e5).round() / 1e5)
-        });
+            track.push(place.map(|degrees| (degrees * 1e5).round() / 1e5));
+        }
         report.travel = Some(ClipTravel {
             distance_m: 2412.37,
             fastest_m_s: Some(13.9),
             bounds: [13.4, 52.52, 13.43, 52.54],
-            track: points.collect(),
+            track,
         });
     }
     let json = serde_json::to_vec(&batch.reports[0].travel).unwrap().len();

@@ -204,12 +204,12 @@ async fn ground_truth(
     arguments: &BoardArguments,
     detector: &mut DetectorConfig,
 ) -> anyhow::Result<GroundTruth> {
-    let (paths, format) = truth_places(
+    let places = truth_places(
         &arguments.clips,
         &arguments.ground_truth,
         arguments.truth_format,
-    )
-    .context(
+    );
+    let (paths, format) = places.context(
         "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
     )?;
     let mut config = detector.clone();
@@ -217,8 +217,9 @@ async fn ground_truth(
         // An empty list reports all.
         config.report_classes = Some(Vec::new());
     }
-    let opening = tokio::task::spawn_blocking(move || DetectorNetwork::open(&config));
-    let network = opening.await.context("loading the detector")??;
+    let network = tokio::task::spawn_blocking(move || DetectorNetwork::open(&config))
+        .await
+        .context("loading the detector")??;
     let names = network.class_names();
     let truth = GroundTruth::for_model(&paths, format, arguments.rules, names)?;
     if let Evaluated::Own(evaluated) = truth.classes()
@@ -363,8 +364,7 @@ fn paced_rate(
         // The source was opened with it.
         return footage.rate();
     }
-    let known = truth.rate(footage.name(), alone);
-    known.unwrap_or_else(|| footage.rate())
+    truth.rate(footage.name(), alone).unwrap_or_else(|| footage.rate())
 }
 
 /// Describes what the clip is, so that later runs can be held against it. The digest is of what boxes are judged by:
@@ -462,11 +462,13 @@ impl Measuring<'_> {
         tell: impl Fn(&str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
-        let kept = self.loaded.take().filter(|(_, clip)| clip.name == of.name);
-        let loaded = match kept {
-            Some(kept) => kept,
-            // The clip before is gone by now: only one is in memory.
-            None => self.load(of, tell).await?,
+        let loaded = match self.loaded.take() {
+            Some((player, clip)) if clip.name == of.name => (player, clip),
+            other => {
+                // Only one clip is in memory.
+                drop(other);
+                self.load(of, tell).await?
+            }
         };
         let (player, clip) = self.loaded.insert(loaded);
         let content = content_of(clip);
@@ -506,8 +508,9 @@ impl Measuring<'_> {
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
         let rate = paced_rate(arguments, &self.truth, self.alone, &*source);
         let extent = Extent::Whole;
-        let loading = tokio::task::spawn_blocking(move || clip::load(source, extent));
-        let loaded = loading.await.context("reading the clip")??;
+        let loaded = tokio::task::spawn_blocking(move || clip::load(source, extent))
+            .await
+            .context("reading the clip")??;
         if let Some(warning) = loaded.warning() {
             tell(&warning);
             self.unusable.push((of.name.clone(), loaded.unusable.len()));

@@ -108,8 +108,9 @@ fn camera_value(camera: &CameraStatus) -> String {
 
 /// Formats the labels of a node in one line.
 fn labels(status: &NodeStatus) -> String {
-    let labels = status.labels.iter().map(|(key, value)| format!("{key}={value}"));
-    labels.collect::<Vec<_>>().join(" ")
+    let labels: Vec<_> =
+        status.labels.iter().map(|(key, value)| format!("{key}={value}")).collect();
+    labels.join(" ")
 }
 
 fn list_of(nodes: &[NodeView]) -> String {

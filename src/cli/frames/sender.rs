@@ -109,8 +109,7 @@ impl FrameSender {
             };
             changed.send_replace(now);
         };
-        let listening = listener.callback(note).background();
-        listening.await.map_err(refused)?;
+        listener.callback(note).background().await.map_err(refused)?;
         let (stream, token) = new_stream(session, key)?;
         Ok(Self {
             session: session.clone(),

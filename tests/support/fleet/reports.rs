@@ -72,8 +72,10 @@ pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<z
 }
 
 pub(crate) async fn open(settings: &[(&str, Value)]) -> zenoh::Session {
-    let opened = tokio::time::timeout(Duration::from_secs(60), zenoh_session(settings));
-    opened.await.expect("the session opens in time").unwrap()
+    tokio::time::timeout(Duration::from_secs(60), zenoh_session(settings))
+        .await
+        .expect("the session opens in time")
+        .unwrap()
 }
 
 #[derive(Debug)]

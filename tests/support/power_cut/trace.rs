@@ -132,6 +132,8 @@ fn call(text: &str, folder: &str, begun: usize, ended: usize) -> Option<Call> {
 
 /// The bytes of `\x2f\x74…`.
 fn bytes(hex: &str) -> Vec<u8> {
-    let digits = hex.split("\\x").skip(1);
-    digits.map(|two| u8::from_str_radix(two, 16).unwrap()).collect()
+    hex.split("\\x")
+        .skip(1)
+        .map(|two| u8::from_str_radix(two, 16).unwrap())
+        .collect()
 }

@@ -121,18 +121,18 @@ struct Counts {
 fn road(frames: usize) -> Vec<Counts> {
     let mut random = random(1);
     let mut bad = false;
-    (0..frames)
-        .map(|_| {
-            // Bad stretches with many misses.
-            if random() < 0.05 {
-                bad = random() < 0.2;
-            }
-            let boxes = (random() * 9.0) as usize;
-            let miss = if bad { 0.6 } else { 0.05 };
-            let paired = (0..boxes).filter(|_| random() >= miss).count();
-            Counts { boxes, paired }
-        })
-        .collect()
+    let mut counts = Vec::new();
+    for _ in 0..frames {
+        // Bad stretches with many misses.
+        if random() < 0.05 {
+            bad = random() < 0.2;
+        }
+        let boxes = (random() * 9.0) as usize;
+        let miss = if bad { 0.6 } else { 0.05 };
+        let paired = (0..boxes).filter(|_| random() >= miss).count();
+        counts.push(Counts { boxes, paired });
+    }
+    counts
 }
 
 #[test]

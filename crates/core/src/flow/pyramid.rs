@@ -188,7 +188,11 @@ fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
             let at = (2 * y + BORDER).wrapping_add_signed(offset) * larger.stride + BORDER - 2;
             &larger.pixels[at..][..width + 5]
         };
-        let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(row);
+        let a = row(-2);
+        let b = row(-1);
+        let c = row(0);
+        let d = row(1);
+        let e = row(2);
         // Zipped, so that no index is checked and the loop becomes vector instructions.
         for (((((sum, a), b), c), d), e) in sums.iter_mut().zip(a).zip(b).zip(c).zip(d).zip(e) {
             *sum = u16::from(*a)

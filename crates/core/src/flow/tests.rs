@@ -43,8 +43,7 @@ impl Texture {
             let angles = columns[index % WIDTH].iter().zip(&rows[index / WIDTH]);
             let waves =
                 angles.map(|((sin_x, cos_x), (sin_y, cos_y))| cos_x * cos_y - sin_x * sin_y);
-            let weighted = waves.zip(&self.0).map(|(wave, [.., weight])| weight * wave);
-            let sum: f64 = weighted.sum();
+            let sum: f64 = waves.zip(&self.0).map(|(wave, [.., weight])| weight * wave).sum();
             (128.0 + 7.0 * sum).clamp(0.0, 255.0) as u8
         };
         (0..WIDTH * HEIGHT).map(value).collect()
@@ -86,8 +85,7 @@ proptest! {
         let half_width = width / 2.0;
         let half_height = height / 2.0;
         let area = corners([x - half_width, y - half_height, x + half_width, y + half_height]);
-        let mut flow = BoxFlow::new(6);
-        let followed = flow.follow(&before, &after, area, [0.0; 2]);
+        let followed = BoxFlow::new(6).follow(&before, &after, area, [0.0; 2]);
         prop_assert_eq!(followed.points, 36);
         prop_assert!(followed.kept >= 24, "{:?}", followed);
         let motion = followed.motion.unwrap();

@@ -34,8 +34,10 @@ fn parameters() -> impl Strategy<Value = FilterParameters> {
 }
 
 fn close(found: &[f64], expected: &[f64]) -> bool {
-    let mut pairs = found.iter().zip(expected);
-    pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(1.0))
+    found
+        .iter()
+        .zip(expected)
+        .all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(1.0))
 }
 
 proptest! {

@@ -132,8 +132,7 @@ pub fn known_policies() -> impl Iterator<Item = &'static str> {
 
 /// Suggests a replacement for an unknown name: a policy within two typing errors, otherwise the list of all.
 fn instead_of(name: &str) -> String {
-    let distances = known_policies().map(|known| (strsim::osa_distance(name, known), known));
-    match distances.min() {
+    match known_policies().map(|known| (strsim::osa_distance(name, known), known)).min() {
         Some((distance, meant)) if distance <= 2 => format!("did you mean `{meant}`?"),
         _ => {
             let quoted: Vec<_> = known_policies().map(|name| format!("`{name}`")).collect();
@@ -192,8 +191,7 @@ impl PolicyConfig {
     }
 
     fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
-        let mut policies = POLICIES.iter();
-        let named = policies.find(|Entry(name, ..)| *name == self.name);
+        let named = POLICIES.iter().find(|Entry(name, ..)| *name == self.name);
         named.ok_or_else(|| PolicyConfigError::UnknownPolicy {
             name: self.name.clone(),
         })

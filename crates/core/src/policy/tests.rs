@@ -67,8 +67,8 @@ fn play(run: &mut Run, event: &Event) -> Option<usize> {
     };
     let most = event.given_up.unwrap_or(usize::MAX);
     let finished = run.frame_within(most, event.step, known);
-    let asked = run.needs.iter().filter(|need| **need == Need::Detections);
-    let answered = usize::from(event.detections.is_some()) * asked.count();
+    let asked = run.needs.iter().filter(|need| **need == Need::Detections).count();
+    let answered = usize::from(event.detections.is_some()) * asked;
     finished.then_some(answered)
 }
 

@@ -117,9 +117,8 @@ impl Tracker {
         progress.finish(outcome);
         if progress.state.is_skipped() {
             let source = BoxSource::Predicted;
-            let states = self.objects.states().iter();
-            let predicted = states.map(|state| filter_box(&self.settings, self.u, state, source));
-            outcome.boxes.extend(predicted);
+            let predicted = |state| filter_box(&self.settings, self.u, state, source);
+            outcome.boxes.extend(self.objects.states().iter().map(predicted));
         } else {
             outcome.boxes.extend_from_slice(&self.boxes);
         }

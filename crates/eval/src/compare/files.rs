@@ -100,8 +100,10 @@ mod tests {
 
     /// The cell of a run in this column.
     fn cell(played: &Run, column: &str) -> String {
-        let row = row(&comparison(&["albireo"], Vec::new()), played);
-        let (_, text) = row.into_iter().find(|(name, _)| *name == column).unwrap();
+        let (_, text) = row(&comparison(&["albireo"], Vec::new()), played)
+            .into_iter()
+            .find(|(name, _)| *name == column)
+            .unwrap();
         text
     }
 

@@ -130,14 +130,15 @@ pub struct VariantSummary {
 impl VariantSummary {
     /// The mean of a figure.
     pub(super) fn mean(&self, figure: Figure) -> Option<Mean> {
-        let found = self.means.iter().find(|(known, _)| *known == figure);
-        found.map(|(_, mean)| *mean)
+        self.means.iter().find(|(known, _)| *known == figure).map(|(_, mean)| *mean)
     }
 
     /// The change of a figure.
     pub(super) fn change(&self, figure: Figure) -> Option<Change> {
-        let found = self.changes.iter().find(|(known, _)| *known == figure);
-        found.map(|(_, change)| *change)
+        self.changes
+            .iter()
+            .find(|(known, _)| *known == figure)
+            .map(|(_, change)| *change)
     }
 }
 

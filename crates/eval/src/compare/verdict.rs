@@ -76,8 +76,12 @@ fn verdict(
 
 /// The frames of a variant that its node did not process, over all rounds.
 fn dropped(comparison: &Comparison, variant: usize) -> u64 {
-    let runs = comparison.runs.iter().filter(|run| run.variant == variant);
-    runs.map(|run| run.report.dropped.total()).sum()
+    comparison
+        .runs
+        .iter()
+        .filter(|run| run.variant == variant)
+        .map(|run| run.report.dropped.total())
+        .sum()
 }
 
 /// Says that frames were dropped, what that means for the comparison, and how none is.
@@ -107,8 +111,11 @@ fn sentence(
 ) -> String {
     let name = &verdict.policy;
     if !verdict.skips {
-        let mut of_variant = comparison.runs.iter().filter(|run| run.variant == variant);
-        let advice = of_variant.find_map(|run| run.advice.as_ref());
+        let advice = comparison
+            .runs
+            .iter()
+            .filter(|run| run.variant == variant)
+            .find_map(|run| run.advice.as_ref());
         return match advice {
             Some(advice) => format!(
                 "{name}: no frame was skipped, so nothing was saved; try {} = {}.",
@@ -201,8 +208,12 @@ fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<Mean> {
         return None;
     }
     let watts = |variant: usize| -> Option<Vec<f64>> {
-        let runs = comparison.runs.iter().filter(|run| run.variant == variant);
-        runs.map(mean_watts).collect()
+        comparison
+            .runs
+            .iter()
+            .filter(|run| run.variant == variant)
+            .map(mean_watts)
+            .collect()
     };
     let first = watts(0)?;
     let own = watts(variant)?;
@@ -226,8 +237,10 @@ mod tests {
     use super::*;
 
     fn sentences(comparison: &Comparison) -> Vec<String> {
-        let verdicts = verdicts(comparison, &summarise(comparison)).into_iter();
-        verdicts.map(|verdict| verdict.sentence).collect()
+        verdicts(comparison, &summarise(comparison))
+            .into_iter()
+            .map(|verdict| verdict.sentence)
+            .collect()
     }
 
     #[test]

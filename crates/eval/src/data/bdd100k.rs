@@ -69,8 +69,10 @@ impl Label {
         }
         let is_true = |value: &serde_json::Value| value == true || value.as_str() == Some("true");
         let is_set = |name: &str| {
-            let mut attributes = self.attributes.iter().flatten();
-            attributes.any(|(key, value)| key.eq_ignore_ascii_case(name) && is_true(value))
+            self.attributes
+                .iter()
+                .flatten()
+                .any(|(key, value)| key.eq_ignore_ascii_case(name) && is_true(value))
         };
         is_set("crowd") || is_set("ignored") || DISTRACTORS.contains(&self.category.as_str())
     }

@@ -334,8 +334,10 @@ fn place_of(
 /// The name of an image's clip: its video's, else that of its folder.
 fn clip_of(image: &Image, videos: &HashMap<u64, &ListedVideo>) -> String {
     if let Some(id) = image.video_id {
-        let named = videos.get(&id).and_then(|video| video.name.clone());
-        return named.unwrap_or_else(|| format!("video-{id}"));
+        return videos
+            .get(&id)
+            .and_then(|video| video.name.clone())
+            .unwrap_or_else(|| format!("video-{id}"));
     }
     match Path::new(&image.file_name).parent() {
         Some(folder) if folder != Path::new("") => folder.to_string_lossy().replace('/', "-"),

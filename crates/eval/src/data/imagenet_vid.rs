@@ -133,8 +133,7 @@ fn read_clip(
 }
 
 fn child<'a, 'i>(node: Node<'a, 'i>, name: &str, file: &Path) -> Result<Node<'a, 'i>, EvalError> {
-    let mut children = node.children();
-    let found = children.find(|child| child.has_tag_name(name));
+    let found = node.children().find(|child| child.has_tag_name(name));
     let parent = node.tag_name().name();
     found.ok_or_else(|| EvalError::content(file, format!("a <{parent}> has no <{name}>")))
 }

@@ -29,8 +29,7 @@ impl Row<'_> {
 
     /// The field at `index` as text.
     pub(super) fn text(&self, index: usize, name: &str) -> Result<&str, EvalError> {
-        let field = self.fields.get(index).map(|field| field.trim());
-        field.ok_or_else(|| {
+        self.fields.get(index).map(|field| field.trim()).ok_or_else(|| {
             self.broken(format!(
                 "the column `{name}` (number {}) is missing: the row has {} columns",
                 index + 1,

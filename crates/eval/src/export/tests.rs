@@ -132,8 +132,12 @@ fn an_export_as_coco_is_read_by_the_evaluation_with_the_same_boxes() {
     export(&files, &out, ExportFormat::Coco, audit, |_| {}).unwrap();
     let no_results = None;
     let read = data::coco::read(&out, no_results).unwrap();
-    let truth = read.clips.iter().flat_map(|clip| clip.truth.iter().flatten());
-    let boxes: Vec<_> = truth.flatten().collect();
+    let boxes: Vec<_> = read
+        .clips
+        .iter()
+        .flat_map(|clip| clip.truth.iter().flatten())
+        .flatten()
+        .collect();
     assert_eq!(boxes.len(), 2);
     let car = Evaluated::Road.find("car").unwrap();
     for found in boxes {

@@ -62,8 +62,8 @@ impl FrameSource for Downsampled<'_> {
 
     fn frames(&self) -> Option<u64> {
         let frames = self.source.frames()?;
-        let taken = (0..frames).filter(|index| self.selection.takes(*index));
-        Some(taken.count() as u64)
+        let taken = (0..frames).filter(|index| self.selection.takes(*index)).count();
+        Some(taken as u64)
     }
 
     fn clip(&self) -> Option<&str> {

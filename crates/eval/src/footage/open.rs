@@ -141,8 +141,10 @@ impl SourceName {
     /// When the folder cannot be read.
     pub fn split(&self) -> Result<Vec<Self>, EvalError> {
         if let Self::Recording(path, None) = self {
-            let topics = Recording::topics(path)?.into_iter();
-            return Ok(topics.map(|topic| Self::Recording(path.clone(), Some(topic))).collect());
+            return Ok(Recording::topics(path)?
+                .into_iter()
+                .map(|topic| Self::Recording(path.clone(), Some(topic)))
+                .collect());
         }
         let inside = |folder: &Path, wanted: fn(&Path) -> bool| {
             entries(folder, wanted)

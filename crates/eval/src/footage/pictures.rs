@@ -63,8 +63,8 @@ impl Pictures {
             clip: None,
             location: Location::File(file),
         };
-        let pictures = picture_files(path)?.into_iter().map(member);
-        Ok(Self::new(clip_name(path), pictures.collect(), rate))
+        let pictures = picture_files(path)?.into_iter().map(member).collect();
+        Ok(Self::new(clip_name(path), pictures, rate))
     }
 
     /// Reads the JPEG and PNG files of a tar archive, one folder after the other; each is a clip, with its pictures in natural
@@ -295,8 +295,7 @@ mod tests {
             Err(error) => error.to_string(),
         };
         let path = file.path().to_str().unwrap();
-        let what = text.strip_prefix(path).expect("the archive is named first");
-        what.to_owned()
+        text.strip_prefix(path).expect("the archive is named first").to_owned()
     }
 
     #[test]

@@ -122,8 +122,8 @@ impl Recording {
     /// # Errors
     /// When the file cannot be read or has no pictures.
     pub(super) fn topics(path: &Path) -> Result<Vec<String>, EvalError> {
-        let topics = Contents::read(path)?.topics.into_iter();
-        Ok(topics.map(|topic| topic.name).collect())
+        let topics = Contents::read(path)?.topics;
+        Ok(topics.into_iter().map(|topic| topic.name).collect())
     }
 
     /// Opens the pictures on `topic`, or on the only topic that has some.
@@ -156,9 +156,10 @@ impl Recording {
             .map(|message| message.time_ns)
             .take(TIMED)
             .collect();
-        // As exact as such a clock, and as a person reads it.
-        let paced = Pace::of(&times).map(|pace| (pace.rate * 1e3).round() / 1e3);
-        let possible = paced.filter(|rate| (0.01..=1000.0).contains(rate));
+        let possible = Pace::of(&times)
+            // As exact as such a clock, and as a person reads it.
+            .map(|pace| (pace.rate * 1e3).round() / 1e3)
+            .filter(|rate| (0.01..=1000.0).contains(rate));
         let mut name = clip_name(path);
         if topics.len() > 1 {
             name = plain_name(&format!("{name}{}", found.name.replace('/', "_")));

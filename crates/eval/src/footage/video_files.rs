@@ -147,7 +147,8 @@ impl FrameSource for VideoFiles {
     fn time_ns(&self) -> Option<u64> {
         let playing = self.playing.as_ref()?;
         let seconds = playing.frames.saturating_sub(1) as f64 / playing.video.rate();
-        Some(playing.recording.started_ns?.saturating_add((seconds * 1e9) as u64))
+        let started_ns = playing.recording.started_ns?;
+        Some(started_ns.saturating_add((seconds * 1e9) as u64))
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
@@ -212,14 +213,16 @@ mod tests {
             assert!(made.success());
         }
         let scripts = tempfile::tempdir().unwrap();
-        let [script, ffprobe, calls] =
-            ["script", "ffprobe", "calls"].map(|name| scripts.path().join(name));
+        let script = scripts.path().join("script");
+        let ffprobe = scripts.path().join("ffprobe");
+        let calls = scripts.path().join("calls");
         let counting = format!(
             "#!/bin/sh\necho >>{}\nexec ffprobe \"$@\"\n",
             calls.display()
         );
         std::fs::write(&script, counting).unwrap();
-        // A program that this process has open for writing, or a child of another test, could not be started.
+        // Copied by another program: a child that another test starts meanwhile would hold what this process writes open,
+        // and a program that is open for writing cannot be started.
         let copied = Command::new("install").args(["-m", "700"]).args([&script, &ffprobe]).status();
         assert!(copied.unwrap().success());
         let programs = Ffmpeg {

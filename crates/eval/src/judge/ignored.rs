@@ -35,8 +35,12 @@ pub(super) fn without_fixed<'a>(
 
 /// Returns the boxes of a frame that are not `excused`.
 fn not_excused(found: &[ScoredBox], excused: &[bool]) -> Vec<ScoredBox> {
-    let kept = found.iter().zip(excused).filter(|(_, excused)| !**excused);
-    kept.map(|(found, _)| *found).collect()
+    found
+        .iter()
+        .zip(excused)
+        .filter(|(_, excused)| !**excused)
+        .map(|(found, _)| *found)
+        .collect()
 }
 
 /// Returns `predictions` without all that cannot be judged at IoU 0.5.

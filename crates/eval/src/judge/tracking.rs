@@ -62,8 +62,10 @@ impl Overlaps {
     /// Each pair by its row and its column, with its IoU.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let columns = self.tracks.len();
-        let pairs = self.iou.iter().enumerate();
-        pairs.map(move |(pair, iou)| (pair / columns, pair % columns, *iou))
+        self.iou
+            .iter()
+            .enumerate()
+            .map(move |(pair, iou)| (pair / columns, pair % columns, *iou))
     }
 }
 

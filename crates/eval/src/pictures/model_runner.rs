@@ -122,9 +122,11 @@ impl ModelRunner {
     pub(super) fn has_chosen_input(&self) -> bool {
         let picture = self.picture.source_size;
         let smallest = self.detector.preparation().model().smallest_for(picture);
-        let inputs = self.detector.inputs();
-        let found = inputs.iter().find(|found| found.smallest.size == smallest);
-        found.is_some_and(|found| !matches!(found.choice, Choice::Comparing(_)))
+        self.detector
+            .inputs()
+            .iter()
+            .find(|found| found.smallest.size == smallest)
+            .is_some_and(|found| !matches!(found.choice, Choice::Comparing(_)))
     }
 
     /// The inputs of the detector so far, in words: one line for each shape of picture.
@@ -142,14 +144,14 @@ impl ModelRunner {
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
         let screen = self.screen.as_ref().map(ScreenHandle::input_format);
         let target = decoding_target(self.detector.preparation().format(), screen, encoded.size);
-        let decoded = decode(
+        decode(
             encoded,
             &self.limits,
             PixelLayout::Rgb8,
             Some(target),
             &mut picture,
-        );
-        decoded.map_err(EvalError::new)?;
+        )
+        .map_err(EvalError::new)?;
         self.picture = Arc::new(picture);
         Ok(milliseconds(start))
     }

@@ -245,8 +245,7 @@ fn settle_input(source: &mut dyn FrameSource, models: &mut ModelRunner) -> Resul
         if models.has_chosen_input() {
             break;
         }
-        let ran = models.run();
-        if ran.is_err() {
+        if models.run().is_err() {
             break;
         }
     }

@@ -173,8 +173,7 @@ fn a_policy_that_uses_pixels_is_rejected_on_stored_detections_with_a_remedy() {
         pass: None,
         ..recording(&[])
     };
-    let error = replayed(&mut policy, &clip, Profile::Paper).unwrap_err();
-    let said = error.to_string();
+    let said = replayed(&mut policy, &clip, Profile::Paper).unwrap_err().to_string();
     assert!(said.contains("evaluate it on a video"), "{said}");
 }
 

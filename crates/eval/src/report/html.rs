@@ -82,8 +82,11 @@ pub(crate) fn figures(plots: &[Plot]) -> Markup {
 
 /// How the clips were judged, if somebody noted it.
 fn judged(report: &Report) -> Option<&str> {
-    let found = report.settings.iter().find(|(name, _)| name == JUDGED);
-    found.map(|(_, how)| how.as_str())
+    report
+        .settings
+        .iter()
+        .find(|(name, _)| name == JUDGED)
+        .map(|(_, how)| how.as_str())
 }
 
 /// Names the boxes by which the clips were judged.
@@ -182,11 +185,12 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
     if names.len() < 2 {
         return Markup::default();
     }
-    let policies = summaries.iter().map(|summary| short_label(&summary.policy));
-    let mut columns = vec![Column::new(
-        ["Policy", ""],
-        policies.map(str::to_owned).collect(),
-    )];
+    let policies = summaries
+        .iter()
+        .map(|summary| short_label(&summary.policy))
+        .map(str::to_owned)
+        .collect();
+    let mut columns = vec![Column::new(["Policy", ""], policies)];
     for name in names {
         let ap50 = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
         let cells = summaries.iter().map(ap50).collect();

@@ -120,8 +120,8 @@ mod tests {
     fn a_missing_figure_is_an_empty_cell() {
         let rows = rows(&[of_states("clip, one", "vanilla", &[FrameState::I])]);
         let cell = |name: &str| {
-            let found = rows[0].iter().find(|(column, _)| *column == name);
-            let (_, cell) = found.expect("the column is there");
+            let (_, cell) =
+                rows[0].iter().find(|(column, _)| *column == name).expect("the column is there");
             cell.as_str()
         };
         assert_eq!(cell("sequence"), "clip, one");

@@ -63,12 +63,15 @@ fn pooled(summaries: &[PolicySummary]) -> Option<(String, Vec<Column>)> {
     let first = summaries.first()?;
     let known = first.pooled?;
     let column = |head: &str, cell: &dyn Fn(Pooled) -> String| {
-        let cells = summaries.iter().map(|summary| or_dash(summary.pooled.map(cell)));
-        Column::new([head, ""], cells.collect())
+        let cells = summaries.iter().map(|summary| or_dash(summary.pooled.map(cell))).collect();
+        Column::new([head, ""], cells)
     };
-    let names = summaries.iter().map(|summary| short_label(&summary.policy).to_owned());
+    let names = summaries
+        .iter()
+        .map(|summary| short_label(&summary.policy).to_owned())
+        .collect();
     let mut columns = vec![
-        Column::new(["policy", ""], names.collect()),
+        Column::new(["policy", ""], names),
         column("skip %", &|pooled| percent(pooled.skip_rate)),
         column("AP@50", &|pooled| format!("{:.3}", pooled.ap50)),
         column("mAP", &|pooled| format!("{:.3}", pooled.map)),

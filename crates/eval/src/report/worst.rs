@@ -68,13 +68,11 @@ fn frames_of(results: &[ClipResult], policy: &str) -> Markup {
 
 /// Says where the frame is: `drive, frame 120 (4.8 s)`.
 fn place_of(result: &ClipResult, worst: &WorstFrame) -> String {
-    let seconds = result.frame_rate.map(|rate| format!(" ({:.1} s)", worst.frame as f64 / rate));
-    format!(
-        "{}, frame {}{}",
-        result.clip,
-        worst.frame,
-        seconds.unwrap_or_default()
-    )
+    let seconds = result
+        .frame_rate
+        .map(|rate| format!(" ({:.1} s)", worst.frame as f64 / rate))
+        .unwrap_or_default();
+    format!("{}, frame {}{seconds}", result.clip, worst.frame)
 }
 
 /// The worst frames of a policy, each with the result of its clip.

@@ -18,7 +18,7 @@ pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipRes
         states.count(frame.state);
     }
     let count = |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
-    let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6);
+    let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6).collect();
     ClipResult {
         clip: clip.name.clone(),
         camera: clip.camera.clone(),
@@ -33,7 +33,7 @@ pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipRes
         degraded_frames: count(|frame| frame.degraded),
         rejected_detections: replayed.rejected_detections,
         boxes: replayed.boxes.iter().map(Vec::len).sum(),
-        decision_us: Spread::of(decisions.collect()),
+        decision_us: Spread::of(decisions),
         states_by_frame: frames.iter().map(|frame| frame.state).collect(),
         examined: frames.iter().map(|frame| frame.examined).collect(),
         ..ClipResult::default()

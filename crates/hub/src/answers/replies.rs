@@ -71,8 +71,7 @@ impl Replies {
     }
 
     fn hand_over(&self, query: Query, answer: serde_json::Result<Answer>) {
-        let queued = self.queue(query, answer);
-        if queued.is_none() {
+        if self.queue(query, answer).is_none() {
             self.counters.count(|counts| counts.answers_lost += 1);
         }
     }

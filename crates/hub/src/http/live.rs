@@ -61,8 +61,7 @@ pub(super) async fn live(
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
     let (session, keys) = hub.way_to(&node)?;
-    let readers = Arc::clone(&hub.live_readers);
-    let place = readers.try_acquire_owned().map_err(|_| {
+    let place = Arc::clone(&hub.live_readers).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
@@ -208,11 +207,11 @@ pub(super) async fn picture(
     })??;
     match reply.result() {
         Ok(sample) => {
-            let frame = sample
+            let seq = sample
                 .attachment()
                 .and_then(|frame| frame.try_to_string().ok())
-                .filter(|text| text.parse::<u64>().is_ok());
-            let seq = frame.map_or_else(String::new, Into::into);
+                .filter(|text| text.parse::<u64>().is_ok())
+                .map_or_else(String::new, Into::into);
             let headers = [
                 (CONTENT_TYPE, "image/jpeg".to_owned()),
                 (CACHE_CONTROL, "no-store".to_owned()),

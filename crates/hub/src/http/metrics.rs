@@ -152,17 +152,21 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",
         counts.waiting as f64,
     );
-    let states = hub.fleet.by_state().into_iter();
     page.gauges(
         "albireo_hub_nodes",
         "Nodes by state",
-        states.map(|(state, nodes)| ([("state", state.name())], nodes as f64)),
+        hub.fleet
+            .by_state()
+            .into_iter()
+            .map(|(state, nodes)| ([("state", state.name())], nodes as f64)),
     );
-    let targets = TargetStatus::ALL.into_iter().zip(counts.targets);
     page.gauges(
         "albireo_hub_targets",
         "Online or degraded nodes that hold a target, by its status",
-        targets.map(|(status, nodes)| ([("status", status.name())], f64::from(nodes))),
+        TargetStatus::ALL
+            .into_iter()
+            .zip(counts.targets)
+            .map(|(status, nodes)| ([("status", status.name())], f64::from(nodes))),
     );
 }
 

@@ -95,9 +95,10 @@ fn feature(mut clip: PositionedClip) -> ClipFeature {
         _ => Geometry::LineString(travel.track),
     };
     let date = |seconds: f64| {
-        let since = Duration::try_from_secs_f64(clip.at_ms as f64 / 1e3 + seconds);
-        let at = UNIX_EPOCH.checked_add(since.unwrap_or_default());
-        humantime::format_rfc3339_millis(at.unwrap_or(UNIX_EPOCH)).to_string()
+        let since_epoch_s = clip.at_ms as f64 / 1e3 + seconds;
+        let since_epoch = Duration::try_from_secs_f64(since_epoch_s).unwrap_or_default();
+        let at = UNIX_EPOCH.checked_add(since_epoch).unwrap_or(UNIX_EPOCH);
+        humantime::format_rfc3339_millis(at).to_string()
     };
     ClipFeature {
         r#type: "Feature",

@@ -107,8 +107,10 @@ async fn give(
     request: NewRevision,
 ) -> Result<Response, Problem> {
     check_why(&request.why).map_err(body::unusable)?;
-    let accepted = headers.get(ACCEPT).and_then(|value| value.to_str().ok());
-    let is_stream = accepted.is_some_and(|accept| accept.contains(LINES));
+    let is_stream = headers
+        .get(ACCEPT)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|accept| accept.contains(LINES));
     let most = if is_stream {
         LONGEST_STREAM_S
     } else {
@@ -151,8 +153,7 @@ async fn give(
 
 /// The lines as JSON.
 fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
-    let texts = lines.iter().map(|line| Ok(serde_json::to_string(line)? + "\n"));
-    texts.collect()
+    lines.iter().map(|line| Ok(serde_json::to_string(line)? + "\n")).collect()
 }
 
 /// Revisions, the newest first.

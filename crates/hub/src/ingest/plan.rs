@@ -188,8 +188,11 @@ impl Counts {
 
     /// The number of missing counts since the first one that was received.
     pub(crate) fn missing(&self) -> u64 {
-        let since = self.ranges.iter().filter(|(first, _)| *first >= self.base);
-        since.map(|(first, last)| last - first + 1).sum()
+        self.ranges
+            .iter()
+            .filter(|(first, _)| *first >= self.base)
+            .map(|(first, last)| last - first + 1)
+            .sum()
     }
 
     /// The counts that the node should send again, as ranges (first, last): all missing ones, also before the first
@@ -203,9 +206,8 @@ impl Counts {
     pub(crate) fn lack(&self, count: Option<u64>, first: bool) -> bool {
         match count {
             Some(count) if self.base > 0 => {
-                let mut ranges = self.ranges.iter();
                 count > self.highest
-                    || ranges.any(|(first, last)| (*first..=*last).contains(&count))
+                    || self.ranges.iter().any(|(first, last)| (*first..=*last).contains(&count))
             }
             _ => first,
         }

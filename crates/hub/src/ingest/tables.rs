@@ -201,8 +201,7 @@ impl dyn Database + '_ {
         let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
         let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
         for camera in read_all::<CameraRow>(self.among(text, nodes)?)? {
-            let known = cameras.entry(camera.node_id).or_default();
-            known.insert(camera.name, camera.id);
+            cameras.entry(camera.node_id).or_default().insert(camera.name, camera.id);
         }
         Ok(cameras)
     }

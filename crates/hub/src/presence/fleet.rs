@@ -286,8 +286,12 @@ impl Fleet {
             let is_expected = entry.node.labels().contains_key("expected");
             !entry.has_reported && is_offline && is_old && !is_expected
         };
-        let strangers = nodes.values().filter(is_stranger).take(most);
-        strangers.map(|entry| entry.node.node.clone()).collect()
+        nodes
+            .values()
+            .filter(is_stranger)
+            .take(most)
+            .map(|entry| entry.node.node.clone())
+            .collect()
     }
 
     /// The statuses that were dropped.

@@ -79,8 +79,11 @@ impl NodeView {
 
     /// The name of its policy's threshold, if a camera reports one.
     pub(crate) fn threshold_name(&self) -> Option<ThresholdName> {
-        let mut cameras = self.status.as_ref()?.cameras.iter();
-        cameras.find_map(|camera| Some(camera.threshold?.name))
+        self.status
+            .as_ref()?
+            .cameras
+            .iter()
+            .find_map(|camera| Some(camera.threshold?.name))
     }
 
     /// The target that it holds.

@@ -181,8 +181,9 @@ pub(crate) fn judge(
     rates: ErrorRates,
 ) -> Vec<GateResult> {
     let reported = |figure: &Figure| {
-        let mut nodes = changed.iter();
-        nodes.any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
+        changed
+            .iter()
+            .any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
     };
     let mut results = Vec::new();
     for gate in gates {
@@ -220,8 +221,7 @@ pub(crate) fn judge(
 
 /// The verdict of all gates together: the worst one.
 pub(crate) fn overall(results: &[GateResult]) -> Verdict {
-    let verdicts = results.iter().map(|result| result.verdict);
-    verdicts.max().unwrap_or(Verdict::Passed)
+    results.iter().map(|result| result.verdict).max().unwrap_or(Verdict::Passed)
 }
 
 #[cfg(test)]

@@ -194,8 +194,11 @@ impl RolloutPlan {
         check("soak_s", self.soak_s, 1.0..=LONGEST_S)?;
         check("patience_s", self.patience_s, 0.0..=LONGEST_S)?;
         check("held_for_s", self.held_for_s, 1.0..=LONGEST_S)?;
-        let deadline = self.offline_deadline_s;
-        check("offline_deadline_s", deadline, 1.0..=LONGEST_S)?;
+        check(
+            "offline_deadline_s",
+            self.offline_deadline_s,
+            1.0..=LONGEST_S,
+        )?;
         check("fewest_applied", self.fewest_applied, 0.01..=1.0)?;
         if !(1..=MOST).contains(&self.stages.len()) {
             return Err(format!("stages: must be from 1 to {MOST} sizes"));
@@ -211,8 +214,8 @@ impl RolloutPlan {
     /// The number of `all` nodes that have the new value once each stage has begun. A stage that adds no node, as in a small
     /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {
-        let sizes = self.stages.iter();
-        let mut ends: Vec<usize> = sizes.filter_map(|size| stage_size(size, all)).collect();
+        let mut ends: Vec<usize> =
+            self.stages.iter().filter_map(|size| stage_size(size, all)).collect();
         ends.dedup_by(|end, before| end <= before);
         ends
     }

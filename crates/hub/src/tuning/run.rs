@@ -254,8 +254,12 @@ impl Run {
     }
 
     fn applying(&mut self, waited: Millis, now: Millis) {
-        let members = self.members.iter().filter(|member| self.is_in_stage(member));
-        let outcomes: Vec<Outcome> = members.map(|member| member.given.outcome).collect();
+        let outcomes: Vec<Outcome> = self
+            .members
+            .iter()
+            .filter(|member| self.is_in_stage(member))
+            .map(|member| member.given.outcome)
+            .collect();
         // A node that comes and goes must not delay the others.
         if outcomes.contains(&Outcome::Pending) && waited < 2 * self.patience() {
             return;

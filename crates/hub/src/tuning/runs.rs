@@ -54,8 +54,7 @@ impl Tuner {
         let mut taken = HashMap::new();
         for run in self.store.open_runs().await? {
             let name = format!("{} {}", run.kind.name(), run.id);
-            let nodes = run.members.into_iter().map(|member| member.node);
-            taken.extend(nodes.map(|node| (node, name.clone())));
+            taken.extend(run.members.into_iter().map(|member| (member.node, name.clone())));
         }
         Ok(taken)
     }
@@ -97,8 +96,9 @@ impl Tuner {
             return Ok(());
         }
         let forgotten = names.clone();
-        let written = self.store.write(move |writing| writing.forget_strangers(&forgotten, now));
-        written.await?;
+        self.store
+            .write(move |writing| writing.forget_strangers(&forgotten, now))
+            .await?;
         for name in &names {
             self.fleet.forget(name);
         }
@@ -219,10 +219,10 @@ impl Tuner {
 
     async fn claim(&self, runs: &mut DrivenRuns, now: Millis) -> Result<(), StoreError> {
         let driver = self.driver.clone();
-        let claimed = self
+        let mine = self
             .store
-            .write(move |writing| writing.claim_runs(&driver, now, now + CLAIM_MS));
-        let mine = claimed.await?;
+            .write(move |writing| writing.claim_runs(&driver, now, now + CLAIM_MS))
+            .await?;
         runs.claimed_ms = now;
         runs.running.retain(|key, _| mine.contains(key));
         for key in mine {

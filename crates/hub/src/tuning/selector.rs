@@ -140,8 +140,8 @@ impl FromStr for Selector {
 
     /// Terms separated by commas: `cam-*,region=north`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let terms = text.split(',').filter(|term| !term.trim().is_empty());
-        Self::new(&terms.collect::<Vec<_>>())
+        let terms: Vec<_> = text.split(',').filter(|term| !term.trim().is_empty()).collect();
+        Self::new(&terms)
     }
 }
 

@@ -439,8 +439,12 @@ mod tests {
                 let message = serde_json::to_string(&given).unwrap();
                 prop_assert_eq!(&serde_json::from_str::<NodeSetting>(&message).unwrap(), &given);
                 // As a row: the setting itself is in the row of its revision.
-                let columns = OutcomeRow(&given).columns().unwrap().into_iter();
-                let mut row: Vec<Cell> = columns.map(|(_, cell)| cell).collect();
+                let mut row: Vec<Cell> = OutcomeRow(&given)
+                    .columns()
+                    .unwrap()
+                    .into_iter()
+                    .map(|(_, cell)| cell)
+                    .collect();
                 row.swap(0, 1);
                 row.insert(2, Cell::json(&setting).unwrap());
                 prop_assert_eq!(NodeSetting::from_row(&mut Row::new(row)).unwrap(), given);

@@ -189,8 +189,8 @@ impl Tuner {
             desired.set_back = u32::from(is_set_back);
             given.push(desired);
         }
-        let written = self.store.write(move |writing| writing.give(&revision, given, above));
-        let (number, given) = written.await?;
+        let (number, given) =
+            self.store.write(move |writing| writing.give(&revision, given, above)).await?;
         for desired in given {
             let node = desired.node.clone();
             if is_set_back {
@@ -219,8 +219,7 @@ impl Tuner {
         }
         if !answered.is_empty() {
             let rows = answered.clone();
-            let written = self.store.write(move |writing| writing.outcomes(&rows));
-            written.await?;
+            self.store.write(move |writing| writing.outcomes(&rows)).await?;
         }
         for desired in answered {
             self.desired.update(desired);
@@ -262,8 +261,7 @@ impl Tuner {
             }
         }
         if !events.is_empty() {
-            let written = self.store.write(move |writing| writing.insert_events(&events));
-            written.await?;
+            self.store.write(move |writing| writing.insert_events(&events)).await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
         for desired in &drifted {
@@ -291,8 +289,8 @@ impl Tuner {
                 counts: BTreeMap::new(),
                 nodes: Vec::new(),
             };
-            let nodes = alike.iter().map(|desired| desired.node.clone());
-            self.give(revision, nodes.collect()).await?;
+            let nodes = alike.iter().map(|desired| desired.node.clone()).collect();
+            self.give(revision, nodes).await?;
         }
         Ok(())
     }

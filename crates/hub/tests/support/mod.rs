@@ -116,8 +116,12 @@ impl Hub {
 
     pub(crate) async fn clips_with_energy(&self) -> i64 {
         let energy = self.get("/api/v1/energy?by=node").await;
-        let groups = energy["groups"].as_array().unwrap().iter();
-        groups.map(|group| group["clips"].as_i64().unwrap()).sum()
+        energy["groups"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|group| group["clips"].as_i64().unwrap())
+            .sum()
     }
 
     pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
@@ -163,8 +167,12 @@ impl Hub {
     pub(crate) async fn counts(&self, node: &str) -> Vec<u64> {
         let path = format!("/api/v1/clips?node={node}&limit=1000");
         let page = self.get(&path).await;
-        let clips = page["clips"].as_array().unwrap().iter();
-        let mut counts: Vec<u64> = clips.map(|clip| clip["count"].as_u64().unwrap()).collect();
+        let mut counts: Vec<u64> = page["clips"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|clip| clip["count"].as_u64().unwrap())
+            .collect();
         counts.sort_unstable();
         counts
     }
@@ -220,13 +228,17 @@ pub(crate) fn batch(node: &str, numbers: RangeInclusive<u64>) -> ReportBatch {
 
 /// The batch of reports of a node that began its first clip at another time.
 pub(crate) fn batch_of(node: &str, numbers: RangeInclusive<u64>, started_ns: u64) -> ReportBatch {
-    let reports = numbers.map(|number| report(node, number, started_ns));
-    reports::in_batch(node, reports.collect())
+    let reports = numbers.map(|number| report(node, number, started_ns)).collect();
+    reports::in_batch(node, reports)
 }
 
 pub(crate) fn names(page: &Value) -> Vec<&str> {
-    let nodes = page["nodes"].as_array().unwrap().iter();
-    nodes.map(|node| node["node"].as_str().unwrap()).collect()
+    page["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| node["node"].as_str().unwrap())
+        .collect()
 }
 
 pub(crate) fn status(run: u32, seq: u64) -> StatusMessage {

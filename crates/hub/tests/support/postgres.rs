@@ -42,12 +42,20 @@ pub(crate) struct Postgres {
 /// The folder of the server's programs: on the path, or where Debian puts them.
 fn tools() -> PathBuf {
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let debian = std::fs::read_dir("/usr/lib/postgresql");
-    let versions = debian.into_iter().flatten().flatten();
-    let mut folders: Vec<_> = versions.map(|one| one.path().join("bin")).collect();
-    folders.sort();
+    let mut versions = Vec::new();
+    if let Ok(entries) = std::fs::read_dir("/usr/lib/postgresql") {
+        for entry in entries.flatten() {
+            let version: Option<u32> =
+                entry.file_name().to_str().and_then(|name| name.parse().ok());
+            versions.extend(version);
+        }
+    }
+    versions.sort_unstable();
+    let newest_first = versions.into_iter().rev();
+    let debian =
+        newest_first.map(|version| PathBuf::from(format!("/usr/lib/postgresql/{version}/bin")));
     std::env::split_paths(&path)
-        .chain(folders.into_iter().rev())
+        .chain(debian)
         .find(|folder| folder.join("initdb").exists() && folder.join("pg_ctl").exists())
         .expect("PostgreSQL's initdb is not installed: `make debian`")
 }
@@ -60,14 +68,24 @@ impl Postgres {
             tools: tools(),
         };
         if is_root() {
-            let mut chown = Command::new("chown");
-            let owner = chown.arg("postgres").arg(server.folder.path()).status();
-            assert!(owner.unwrap().success(), "chown to the user postgres");
+            let chown = Command::new("chown").arg("postgres").arg(server.folder.path()).status();
+            assert!(chown.unwrap().success(), "chown to the user postgres");
         }
         let data = server.data();
-        let options: Vec<_> = "-A trust -U hub -E UTF8 --locale=C -N".split(' ').collect();
-        let mut made = server.command("initdb", &[&["-D", &*data], &options[..]].concat());
-        assert!(made.status().unwrap().success(), "initdb");
+        let options = [
+            "-D",
+            &data,
+            "-A",
+            "trust",
+            "-U",
+            "hub",
+            "-E",
+            "UTF8",
+            "--locale=C",
+            "-N",
+        ];
+        let made = server.command("initdb", &options).status();
+        assert!(made.unwrap().success(), "initdb");
         server.up();
         server
     }
@@ -88,7 +106,11 @@ impl Postgres {
             "-D", &data, "-l", &log, "-w", "-t", "60", "-o", &options, "start",
         ];
         let until = Instant::now() + Duration::from_secs(60);
-        while !self.command("pg_ctl", &start).status().unwrap().success() {
+        loop {
+            let started = self.command("pg_ctl", &start).status().unwrap();
+            if started.success() {
+                return;
+            }
             let said = std::fs::read_to_string(&log).unwrap_or_default();
             assert!(Instant::now() < until, "{said}");
             std::thread::sleep(Duration::from_millis(50));

@@ -66,8 +66,7 @@ struct RouteState {
 
 impl RouteState {
     fn camera_names(&self) -> Vec<String> {
-        let cameras = self.board.cameras.iter();
-        cameras.map(|camera| camera.name().to_owned()).collect()
+        self.board.cameras.iter().map(|camera| camera.name().to_owned()).collect()
     }
 
     fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {

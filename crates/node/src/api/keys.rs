@@ -87,8 +87,8 @@ pub(crate) async fn declare(
     let board = Arc::clone(board);
     let settings = Arc::clone(settings);
     Ok(async move {
-        // Dropped, they would undeclare the keys and close the channel.
-        let _held = (requests, declared);
+        // Dropped, it would undeclare the keys.
+        let _declared = declared;
         loop {
             let work = tokio::select! {
                 () = settings.turns.changed.notified() => Work::ApplyPuts,
@@ -171,13 +171,9 @@ impl Request {
             in_force(board, setting)
         });
         let sent = match result {
-            Ok(reply) => {
-                let reply = query.reply(key, reply);
-                reply.encoding(Encoding::APPLICATION_JSON).wait()
-            }
+            Ok(reply) => query.reply(key, reply).encoding(Encoding::APPLICATION_JSON).wait(),
             Err(reason) => {
-                let refusal = query.reply_err(reason.to_string());
-                refusal.encoding(Encoding::TEXT_PLAIN).wait()
+                query.reply_err(reason.to_string()).encoding(Encoding::TEXT_PLAIN).wait()
             }
         };
         if let Err(error) = sent {
@@ -210,8 +206,8 @@ fn in_force(board: &Board, setting: &Setting) -> Result<Vec<u8>, Box<dyn Error +
             serde_json::to_vec(&ScreenMessage { v, screen })
         }
         Setting::Threshold(camera) => {
-            let in_force = camera.threshold_in_force();
-            let threshold = in_force.ok_or("the policy in use has no threshold")?;
+            let threshold =
+                camera.threshold_in_force().ok_or("the policy in use has no threshold")?;
             serde_json::to_vec(&ThresholdMessage { v, threshold })
         }
     };
@@ -220,6 +216,5 @@ fn in_force(board: &Board, setting: &Setting) -> Result<Vec<u8>, Box<dyn Error +
 
 /// Copies a payload, or only enough of an oversized one to detect it.
 fn beginning(payload: &ZBytes) -> Vec<u8> {
-    let bytes = payload.slices().flatten().copied();
-    bytes.take(MAX_MESSAGE_BYTES + 1).collect()
+    payload.slices().flatten().copied().take(MAX_MESSAGE_BYTES + 1).collect()
 }

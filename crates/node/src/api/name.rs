@@ -127,8 +127,7 @@ pub(crate) mod tests {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        let waited = tokio::time::timeout(Duration::from_secs(60), holding);
-        waited.await.unwrap();
+        tokio::time::timeout(Duration::from_secs(60), holding).await.unwrap();
     }
 
     /// One of two nodes of the same name.

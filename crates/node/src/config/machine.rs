@@ -16,8 +16,16 @@ use std::path::{Path, PathBuf};
 pub struct Here {
     /// What is missing: without it a node would not start.
     pub missing: Vec<Finding>,
-    /// How the detector's model is read, and what is wasteful about it, a sentence each; empty if it was not opened.
-    pub detector: Vec<String>,
+    /// What was learnt of the detector's model; `None` if it was not opened.
+    pub detector: Option<DetectorHere>,
+}
+
+/// What is learnt of a detector's model by opening it.
+pub struct DetectorHere {
+    /// How it is read.
+    pub description: String,
+    /// What is wasteful about it.
+    pub wasteful: Option<String>,
 }
 
 impl NodeConfig {
@@ -25,7 +33,7 @@ impl NodeConfig {
     /// it can be.
     pub fn here(&self) -> Here {
         let mut findings = Findings::default();
-        let mut detector = Vec::new();
+        let mut detector = None;
         for (key, path) in self.model_files() {
             file(key, path, &mut findings);
         }
@@ -63,8 +71,7 @@ impl NodeConfig {
             writable("record.folder", folder, &mut findings);
         }
         for camera in &self.cameras {
-            let settings = camera.source_settings(self.frame);
-            let found = settings.map(LiveSource::find).transpose();
+            let found = camera.source_settings(self.frame).map(LiveSource::find).transpose();
             findings.check(format!("camera.{}.source", camera.name), found);
         }
         Here {
@@ -151,7 +158,7 @@ impl NodeConfig {
 
     /// Opens the detector's model, which finds its head and holds the configured classes against it; returns what there is
     /// to say about it. On the processor: a GPU may build engines for minutes, and `--online` tries it.
-    fn check_detector(&self, findings: &mut Findings) -> Vec<String> {
+    fn check_detector(&self, findings: &mut Findings) -> Option<DetectorHere> {
         let here = DetectorConfig {
             providers: vec![ExecutionProvider::Cpu],
             batch_size: self.detector.batch_size,
@@ -160,12 +167,12 @@ impl NodeConfig {
         let error = match DetectorNetwork::open(&here) {
             Err(error) => error,
             Ok(network) => {
-                let mut words = vec![network.description()];
                 let usual = network.input().first_use(USUAL_PICTURE);
-                if usual.choice == Choice::Fixed && usual.is_wasteful() {
-                    words.push(usual.to_string());
-                }
-                return words;
+                let is_wasteful = usual.choice == Choice::Fixed && usual.is_wasteful();
+                return Some(DetectorHere {
+                    description: network.description(),
+                    wasteful: is_wasteful.then(|| usual.to_string()),
+                });
             }
         };
         let text = error.to_string();
@@ -176,7 +183,7 @@ impl NodeConfig {
             }
             _ => findings.add("detector.model", text),
         }
-        Vec::new()
+        None
     }
 
     fn check_library(&self, findings: &mut Findings) {
@@ -292,9 +299,12 @@ mod tests {
         config.detector.onnxruntime = Some(library);
         config.detector.providers = vec![ExecutionProvider::Cuda];
         let fault = |config: &NodeConfig| {
-            let mut found = config.here().missing.into_iter();
-            let fault = found.find(|finding| finding.key == "detector.providers");
-            fault.map_or(String::new(), |finding| finding.reason)
+            config
+                .here()
+                .missing
+                .into_iter()
+                .find(|finding| finding.key == "detector.providers")
+                .map_or(String::new(), |finding| finding.reason)
         };
         let reason = fault(&config);
         let expected = "`cuda` is not in this ONNX Runtime";

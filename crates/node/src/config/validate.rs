@@ -232,8 +232,8 @@ impl NodeConfig {
 
     /// Checks that the policy can answer at once, and that settled frames wait long enough for the detector.
     fn check_answers(&self, policy: Option<Box<dyn Policy>>, findings: &mut Findings) {
-        let mut cameras = self.cameras.iter();
-        let at_once = cameras.any(|camera| self.answer_time(camera) == AnswerTime::AtOnce);
+        let at_once =
+            self.cameras.iter().any(|camera| self.answer_time(camera) == AnswerTime::AtOnce);
         let longest = self.settle.longest_ms;
         findings.count("settle.longest_ms", longest, 1, 60_000);
         if !at_once {
@@ -318,8 +318,8 @@ impl NodeConfig {
                 keys.threshold(),
             ]);
         }
-        let written_by_node = written.into_iter().map(|key| (key, KeyOwner::Node));
-        let mut owners: HashMap<String, KeyOwner<'_>> = written_by_node.collect();
+        let mut owners: HashMap<String, KeyOwner<'_>> =
+            written.into_iter().map(|key| (key, KeyOwner::Node)).collect();
         for (index, camera) in self.cameras.iter().enumerate() {
             for key in self.frame_keys(camera).unwrap_or_default() {
                 let owner = KeyOwner::Camera(&camera.name);

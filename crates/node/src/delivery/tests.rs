@@ -69,8 +69,7 @@ fn run_seeds(simulation: Simulation, share: u64) {
             scope.spawn(|| faults.collect::<Vec<_>>())
         };
         let spawned: Vec<_> = (0..threads).map(spawn).collect();
-        let faults = spawned.into_iter().map(|thread| thread.join().unwrap());
-        faults.flatten().collect()
+        spawned.into_iter().flat_map(|thread| thread.join().unwrap()).collect()
     });
     println!(
         "seeds {seeds:?} in {:.0?}; the oracles, and how often each was asked:",

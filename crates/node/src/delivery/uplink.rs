@@ -340,8 +340,9 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, scope: Batc
     };
     let reply = ask::<ReportAnswer>(reports, payload).await;
     let outbox = Arc::clone(&setup.outbox);
-    let taken = spawn_blocking(move || conclude(&outbox, &batch, reply, Now::system()));
-    taken.await.unwrap_or(Err(Failure::Unanswered))
+    spawn_blocking(move || conclude(&outbox, &batch, reply, Now::system()))
+        .await
+        .unwrap_or(Err(Failure::Unanswered))
 }
 
 /// Applies the outcome of `batch` to the outbox and returns the desired setting, if the answer has one. Writes a file.

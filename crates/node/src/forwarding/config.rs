@@ -96,8 +96,8 @@ impl MqttConfig {
 
     /// Adds what is missing on this machine.
     pub(crate) fn look_here(&self, findings: &mut Findings) {
-        let password = self.password_file.as_deref().map(secret);
-        findings.check("mqtt.password_file", password.transpose());
+        let password = self.password_file.as_deref().map(secret).transpose();
+        findings.check("mqtt.password_file", password);
     }
 
     /// The file with its secret, if every user of this machine can read it.

@@ -240,11 +240,8 @@ mod tests {
     fn the_messages_follow_home_assistants_schema_and_each_entity_has_its_own_id() {
         let described = described();
         let classes = named(&["car", "traffic light", "traffic_light", "car"].map(str::to_owned));
-        let ids = classes.iter().map(|one| one.id.as_str());
-        assert_eq!(
-            ids.collect::<Vec<_>>(),
-            ["car", "traffic_light", "traffic_light_"]
-        );
+        let ids: Vec<_> = classes.iter().map(|one| one.id.as_str()).collect();
+        assert_eq!(ids, ["car", "traffic_light", "traffic_light_"]);
         let mut entities = check(&described.node(Some("estimated")));
         entities.extend(check(&described.node(Some("measured"))));
         entities.extend(check(&described.camera("front", &classes)));

@@ -367,8 +367,10 @@ fn options(
 
 /// Begins to connect. What drives the connection is a task of its own, because it must not be interrupted.
 fn connect(options: MqttOptions) -> Result<(AsyncClient, Heard, AbortOnDropHandle<()>), String> {
-    let builder = AsyncClient::builder(options).capacity(2 * WINDOW);
-    let (client, mut connection) = builder.try_build().map_err(|error| error.to_string())?;
+    let (client, mut connection) = AsyncClient::builder(options)
+        .capacity(2 * WINDOW)
+        .try_build()
+        .map_err(|error| error.to_string())?;
     let (say, heard) = mpsc::channel(2 * WINDOW);
     let driver = tokio::spawn(async move {
         loop {

@@ -314,8 +314,11 @@ impl Waiting {
             return None;
         }
         // First, so that after a crash nobody takes them for reports that were never sent.
-        let never_sent = reports.iter().filter(|report| !report.stored.sent);
-        let ids: Vec<Uuid> = never_sent.map(|report| report.stored.id).collect();
+        let ids: Vec<Uuid> = reports
+            .iter()
+            .filter(|report| !report.stored.sent)
+            .map(|report| report.stored.id)
+            .collect();
         if !ids.is_empty() {
             self.work(|table| table.note_sent(&ids));
         }

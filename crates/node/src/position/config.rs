@@ -94,8 +94,7 @@ impl TryFrom<String> for PositionSource {
 
 /// Checks a host and port.
 fn address(text: &str, place: String) -> Result<String, String> {
-    let parts = place.rsplit_once(':');
-    let is_address = parts.is_some_and(|(host, port)| {
+    let is_address = place.rsplit_once(':').is_some_and(|(host, port)| {
         !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0)
     });
     if !is_address {

@@ -73,8 +73,10 @@ fn recorded(folder: &Path, camera: &str, topic: Topic) -> Vec<usize> {
         .collect();
     paths.sort();
     let count = |path: &PathBuf| {
-        let messages = Messages::open(path).unwrap();
-        messages.filter(|message| message.channel.topic == topic.of(camera)).count()
+        Messages::open(path)
+            .unwrap()
+            .filter(|message| message.channel.topic == topic.of(camera))
+            .count()
     };
     paths.iter().map(count).collect()
 }

@@ -339,8 +339,12 @@ impl Writer {
             }
             self.rotate(camera);
         }
-        let open = self.cameras.iter().filter(|camera| camera.file.is_some());
-        let names = open.map(|camera| camera.name.clone()).collect();
+        let names = self
+            .cameras
+            .iter()
+            .filter(|camera| camera.file.is_some())
+            .map(|camera| camera.name.clone())
+            .collect();
         self.counts.lock().shown.recording = names;
     }
 
@@ -353,8 +357,12 @@ impl Writer {
 
     /// Deletes old recordings, and counts what is left.
     fn tidy(&mut self) {
-        let open_files = self.cameras.iter().filter_map(|camera| camera.file.as_ref());
-        let open: Vec<&Path> = open_files.map(|open| open.path.as_path()).collect();
+        let open: Vec<&Path> = self
+            .cameras
+            .iter()
+            .filter_map(|camera| camera.file.as_ref())
+            .map(|open| open.path.as_path())
+            .collect();
         match self.folder.tidy(&open, self.largest, SystemTime::now()) {
             Ok(left) => {
                 let shown = &mut self.counts.lock().shown;

@@ -21,8 +21,7 @@ pub(crate) fn prepared(config: &NodeConfig) -> PreparedNode {
 }
 
 pub(crate) fn thresholds(board: &Board) -> Vec<f64> {
-    let cameras = board.cameras.iter();
-    cameras.filter_map(|camera| camera.threshold()).collect()
+    board.cameras.iter().filter_map(|camera| camera.threshold()).collect()
 }
 
 impl Settings {

@@ -130,13 +130,12 @@ impl Turns {
     ) {
         let mut arrived = self.arrived.lock();
         let place = arrived.place();
-        let before = arrived.puts.get(key).map(|put| put.replaced + 1);
         let put = Put {
             place,
             made,
             setting: setting.clone(),
             payload,
-            replaced: before.unwrap_or(0),
+            replaced: arrived.puts.get(key).map_or(0, |put| put.replaced + 1),
         };
         arrived.puts.insert(key.to_owned(), put);
         drop(arrived);

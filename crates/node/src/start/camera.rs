@@ -68,8 +68,9 @@ impl SharedParts {
             PictureMemory::Own
         };
         // Before the cameras, whose frames it records.
-        let started = self.recorder.start(self.config.frame, memory);
-        started.map_err(NodeError::of("[record]"))?;
+        self.recorder
+            .start(self.config.frame, memory)
+            .map_err(NodeError::of("[record]"))?;
         let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in
             self.config.cameras.iter().zip(&self.board.cameras).enumerate()

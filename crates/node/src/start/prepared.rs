@@ -51,8 +51,8 @@ impl PreparedNode {
         let board = board(config, policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
         watch_outbox(&board.readiness, &outbox);
-        let cameras = config.cameras.iter().map(|camera| camera.name.clone());
-        let recorder = Recorder::new(&config.record, cameras.collect());
+        let cameras = config.cameras.iter().map(|camera| camera.name.clone()).collect();
+        let recorder = Recorder::new(&config.record, cameras);
         let watched = Arc::clone(&recorder);
         board.readiness.probe(readiness::RECORDER, "", move || watched.fault());
         Ok(Self {

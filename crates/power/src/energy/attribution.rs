@@ -111,8 +111,7 @@ impl Attribution {
             camera.avoided_s = 0.0;
             camera.weight *= decay;
         }
-        let by_number = self.cameras.iter().map(|(number, camera)| (*number, camera.totals));
-        by_number.collect()
+        self.cameras.iter().map(|(number, camera)| (*number, camera.totals)).collect()
     }
 }
 

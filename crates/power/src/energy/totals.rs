@@ -50,8 +50,11 @@ impl Totals {
 
     /// The totals of one camera.
     pub(crate) fn camera(&self, number: u64) -> Sum {
-        let found = self.cameras.iter().find(|(camera, _)| *camera == number);
-        found.map(|(_, totals)| *totals).unwrap_or_default()
+        self.cameras
+            .iter()
+            .find(|(camera, _)| *camera == number)
+            .map(|(_, totals)| *totals)
+            .unwrap_or_default()
     }
 }
 

@@ -53,10 +53,9 @@ fn a_user_table_takes_precedence_over_the_built_in_ones() {
         ("VDD_CPU_CV", 1.0),
         ("VDDQ_VDD2_1V8AO", 0.4),
     ]));
-    let [total, io_mem] = [2.4, 0.4].map(|watts| Some(Value::Power(watts)));
     let expected = Values {
-        total,
-        io_mem,
+        total: Some(Value::Power(2.4)),
+        io_mem: Some(Value::Power(0.4)),
         ..Values::default()
     };
     assert_eq!(found.values, expected);

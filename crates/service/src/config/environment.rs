@@ -65,8 +65,7 @@ impl Environment {
         let variable = self.0.iter().find(|variable| path.starts_with(&variable.path))?;
         match (value, error) {
             (Json::String(text), Kind::InvalidType(_, wants)) if wants.contains("sequence") => {
-                let parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
-                Some(parts.collect())
+                Some(text.split(',').map(str::trim).filter(|part| !part.is_empty()).collect())
             }
             (Json::String(text), Kind::InvalidType(..)) => scalar(text),
             (Json::String(text), Kind::Message(words)) if words.contains(UNTAGGED) => scalar(text),

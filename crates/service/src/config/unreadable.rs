@@ -64,25 +64,31 @@ fn hint(file: &Path, folder: &Path, sections: &[&str]) -> String {
 
 /// The configuration files in a folder that have only such sections, in the order of their names.
 fn files(folder: &Path, sections: &[&str]) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    let of_service = |path: &PathBuf| {
-        if path.extension().is_none_or(|extension| extension != "toml") {
-            return false;
-        }
-        let read: Result<BTreeMap<String, Value>, _> =
-            Figment::from(Toml::file_exact(path)).extract();
-        read.is_ok_and(|tables| {
-            // A list, such as that of the cameras, need not be a section.
-            let is_known = |(name, value): (&String, &Value)| {
-                value.is_array() || sections.contains(&name.to_ascii_uppercase().as_str())
-            };
-            !tables.is_empty() && tables.iter().all(is_known)
-        })
-    };
-    let mut found: Vec<PathBuf> = paths.filter(of_service).collect();
+    let mut found: Vec<PathBuf> = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| has_only(path, sections))
+        .collect();
     found.sort();
     found
+}
+
+/// True if a file is TOML and has such sections, and no other.
+fn has_only(path: &Path, sections: &[&str]) -> bool {
+    if path.extension().is_none_or(|extension| extension != "toml") {
+        return false;
+    }
+    let read: Result<BTreeMap<String, Value>, _> = Figment::from(Toml::file_exact(path)).extract();
+    let Ok(tables) = read else {
+        return false;
+    };
+    // A list, such as that of the cameras, need not be a section.
+    let is_known = |(name, value): (&String, &Value)| {
+        value.is_array() || sections.contains(&name.to_ascii_uppercase().as_str())
+    };
+    !tables.is_empty() && tables.iter().all(is_known)
 }
 
 fn name(path: &Path) -> String {

@@ -147,22 +147,24 @@ pub(super) async fn translate(
         .flat_map(|methods| methods.split(','))
         .map(str::trim)
         .collect();
-    let detail = match (String::from_utf8_lossy(&text).trim(), status) {
-        ("", StatusCode::METHOD_NOT_ALLOWED) => {
+    let text = String::from_utf8_lossy(&text);
+    let text = text.trim();
+    let detail = match status {
+        StatusCode::PAYLOAD_TOO_LARGE => {
+            format!("the body must have at most {BODY_LIMIT} bytes")
+        }
+        _ if !text.is_empty() => text.to_owned(),
+        StatusCode::METHOD_NOT_ALLOWED => {
             let allowed = allowed.join(", ");
             format!("{method} is not allowed here; allowed: {allowed}")
         }
-        ("", StatusCode::REQUEST_TIMEOUT) => {
+        StatusCode::REQUEST_TIMEOUT => {
             format!("the request did not end within {time_limit:?}")
         }
-        (_, StatusCode::PAYLOAD_TOO_LARGE) => {
-            format!("the body must have at most {BODY_LIMIT} bytes")
-        }
-        ("", StatusCode::NOT_FOUND) => {
+        StatusCode::NOT_FOUND => {
             format!("there is nothing at {path}; /openapi.json lists all paths")
         }
-        ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
-        (text, _) => text.to_owned(),
+        _ => status.canonical_reason().unwrap_or("an error").to_owned(),
     };
     let problem = Problem::new(status, detail).allowing(allowed);
     // The answer's other headers stay, such as the list of methods.

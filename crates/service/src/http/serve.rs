@@ -181,14 +181,12 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
         .fallback_service(inner)
         .layer(from_fn_with_state(limit, problem::translate));
     if !config.cors_origins.is_empty() {
-        let origins = config
-            .cors_origins
-            .iter()
-            .filter_map(|origin| origin.parse::<HeaderValue>().ok());
+        let origins: Vec<HeaderValue> =
+            config.cors_origins.iter().filter_map(|origin| origin.parse().ok()).collect();
         // Outermost, because a preflight request carries no token.
         router = router.layer(
             CorsLayer::new()
-                .allow_origin(origins.collect::<Vec<_>>())
+                .allow_origin(origins)
                 .allow_methods(methods.to_vec())
                 .allow_headers([AUTHORIZATION, CONTENT_TYPE]),
         );
@@ -209,8 +207,11 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
 
 /// Ends a JSON answer with a new line, so that a terminal's prompt does not stick to it.
 async fn end_the_line(response: Response) -> Response {
-    let header = response.headers().get(CONTENT_TYPE);
-    let media_type = header.and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let media_type = response
+        .headers()
+        .get(CONTENT_TYPE)
+        .and_then(|value| value.to_str().ok())
+        .unwrap_or_default();
     // A stream has no exact size, and lines of its own.
     let is_whole = response.body().size_hint().exact().is_some();
     if !media_type.ends_with("json") || !is_whole {

@@ -88,8 +88,11 @@ pub(super) fn is_zenohs(target: &str) -> bool {
 /// The writer to standard error. The first call starts it.
 fn writer() -> &'static Writer {
     WRITER.get_or_init(|| {
-        let builder = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(WAITING);
-        let (lines, thread) = builder.thread_name("log").finish(io::stderr());
+        let (lines, thread) = NonBlockingBuilder::default()
+            .lossy(true)
+            .buffered_lines_limit(WAITING)
+            .thread_name("log")
+            .finish(io::stderr());
         let dropped = lines.error_counter();
         let watched = dropped.clone();
         // If the thread cannot be started, the metric still counts the lines.

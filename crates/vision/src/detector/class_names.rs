@@ -221,8 +221,9 @@ fn after_number(line: &str, place: usize) -> Option<&str> {
 }
 
 fn metadata_names(text: &str) -> Result<Vec<String>, String> {
-    let metadata = Metadata::new([("names".to_owned(), text.to_owned())]);
-    metadata.class_names()?.ok_or_else(|| "it has no names".to_owned())
+    Metadata::new([("names".to_owned(), text.to_owned())])
+        .class_names()?
+        .ok_or_else(|| "it has no names".to_owned())
 }
 
 #[cfg(test)]
@@ -316,8 +317,9 @@ mod tests {
             (Some(with_gap), two, path_of_gap.to_str().unwrap()),
         ] {
             let metadata = metadata(&[("names", names)]);
-            let refused = read(given.as_ref(), &metadata, &head(HeadName::Yolo, Some(3)));
-            let error = refused.unwrap_err().to_string();
+            let error = read(given.as_ref(), &metadata, &head(HeadName::Yolo, Some(3)))
+                .unwrap_err()
+                .to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
             assert!(error.contains(said), "{error}");
         }

@@ -163,8 +163,9 @@ mod tests {
     }
 
     fn has_own_numbers(classes: &Classes, count: u16) -> bool {
-        let mut numbers = (0..count).map(ClassId);
-        numbers.all(|number| classes.reported_as(number) == Some(Some(number)))
+        (0..count)
+            .map(ClassId)
+            .all(|number| classes.reported_as(number) == Some(Some(number)))
     }
 
     #[test]
@@ -236,8 +237,7 @@ mod tests {
             (config(Some(&["lorry"]), &[]), "detector.report_classes"),
             (config(None, &[("lorry", "truck")]), "detector.class_map"),
         ] {
-            let refused = Classes::new(&owned(&["car", "bus"]), &config);
-            let error = refused.unwrap_err().to_string();
+            let error = Classes::new(&owned(&["car", "bus"]), &config).unwrap_err().to_string();
             for part in [key, "lorry", "car, bus"] {
                 assert!(error.contains(part), "{error}");
             }

@@ -185,8 +185,9 @@ impl DetectorNetwork {
     /// # Errors
     /// If the run failed.
     pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
-        let found = self.run(std::slice::from_ref(picture))?.pop();
-        found.ok_or_else(|| RunError::Failed("the model returned no answer".to_owned()))
+        self.run(std::slice::from_ref(picture))?
+            .pop()
+            .ok_or_else(|| RunError::Failed("the model returned no answer".to_owned()))
     }
 
     /// The time of a run on a black picture at an input of `size`: that of the largest input, or a smaller one of a model

@@ -179,8 +179,7 @@ impl PreparedPicture {
 
     /// Columns and rows of the input.
     pub fn size(&self) -> PictureSize {
-        let letterbox = self.letterbox.as_ref();
-        letterbox.map_or(PictureSize::new(0, 0), Letterbox::size)
+        self.letterbox.as_ref().map_or(PictureSize::new(0, 0), Letterbox::size)
     }
 
     /// The size of the picture itself.

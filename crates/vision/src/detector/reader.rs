@@ -269,8 +269,7 @@ mod tests {
         let [x, y, width, height] = boxes;
         let values = [x, y, width, height, score].map(|value| [value; ANCHORS]);
         let output = view(&shape, values.as_flattened());
-        let mut reader = Reader::new(classes, &config);
-        reader.read(&head, &[output], mapping).unwrap()
+        Reader::new(classes, &config).read(&head, &[output], mapping).unwrap()
     }
 
     #[test]

@@ -249,8 +249,10 @@ mod tests {
     }
 
     fn floats(format: InputFormat) -> Vec<f32> {
-        let tensors = letterboxed(format);
-        tensors.iter().flat_map(|tensor| tensor.to_floats().into_owned()).collect()
+        letterboxed(format)
+            .iter()
+            .flat_map(|tensor| tensor.to_floats().into_owned())
+            .collect()
     }
 
     fn formats_of_floats() -> Vec<InputFormat> {

@@ -221,8 +221,7 @@ mod tests {
         };
         // The fixture's name leads out of its folder. This one is as long, so that the lengths in the file stay right.
         let new_name = "w".repeat(old_name.len());
-        let place = bytes.windows(old_name.len()).position(|it| it == old_name.as_bytes());
-        let start = place.unwrap();
+        let start = bytes.windows(old_name.len()).position(|it| it == old_name.as_bytes()).unwrap();
         bytes[start..start + old_name.len()].copy_from_slice(new_name.as_bytes());
         std::fs::write(model, bytes).unwrap();
         model.with_file_name(new_name)
@@ -320,8 +319,12 @@ mod tests {
             let cache = cache_of(&settings, &number.to_string());
             assert!(cache.folder().starts_with(folder.path().join("engines")));
             let used = SystemTime::UNIX_EPOCH + Duration::from_secs(number);
-            let of_model = std::fs::File::options().append(true).open(cache.folder().join(MODEL));
-            of_model.unwrap().set_modified(used).unwrap();
+            std::fs::File::options()
+                .append(true)
+                .open(cache.folder().join(MODEL))
+                .unwrap()
+                .set_modified(used)
+                .unwrap();
             caches.push(cache);
         }
         let kept: Vec<_> = caches.iter().map(|cache| cache.folder().exists()).collect();

@@ -271,8 +271,7 @@ pub(super) mod tests {
     }
 
     fn names(text: &str) -> Result<Vec<String>, String> {
-        let names = metadata(&[("names", text)]).class_names();
-        names.map(Option::unwrap)
+        metadata(&[("names", text)]).class_names().map(Option::unwrap)
     }
 
     #[test]

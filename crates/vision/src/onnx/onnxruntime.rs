@@ -235,8 +235,10 @@ mod tests {
         let other = tempfile::tempdir().unwrap();
         put(other.path(), "libonnxruntime.so");
         assert!(search(Some(named.path()), &[other.path()]).find().is_err());
-        let missing = search(Some(&named.path().join("gone.so")), &[other.path()]).find();
-        let error = missing.unwrap_err().to_string();
+        let error = search(Some(&named.path().join("gone.so")), &[other.path()])
+            .find()
+            .unwrap_err()
+            .to_string();
         for part in ["gone.so", VARIABLE] {
             assert!(error.contains(part), "{error}");
         }

@@ -260,8 +260,11 @@ impl Signature {
     /// # Errors
     /// If there is none.
     pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
-        let found = self.outputs.iter().enumerate().find(|(_, output)| output.name == name);
-        found.ok_or_else(|| format!("it has no output `{name}`"))
+        self.outputs
+            .iter()
+            .enumerate()
+            .find(|(_, output)| output.name == name)
+            .ok_or_else(|| format!("it has no output `{name}`"))
     }
 }
 

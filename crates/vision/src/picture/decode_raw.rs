@@ -179,7 +179,9 @@ fn bayer(picture: &EncodedPicture, pattern: BayerPattern, layout: PixelLayout, p
     let rows = pixels.chunks_exact_mut(layout.channels() * width);
     for (y, converted_row) in rows.enumerate() {
         let (above, below) = beside(y, height);
-        let [upper, row, lower] = [above, y, below].map(|y| &bytes[y * width..][..width]);
+        let upper = &bytes[above * width..][..width];
+        let row = &bytes[y * width..][..width];
+        let lower = &bytes[below * width..][..width];
         for (x, pixel) in converted_row.chunks_exact_mut(layout.channels()).enumerate() {
             let (left, right) = beside(x, width);
             let vertical = mean(&[upper[x], lower[x]]);

@@ -126,8 +126,7 @@ mod tests {
             ("x.jpg", "x.jpg: not a picture"),
             ("gone.jpg", "gone.jpg: cannot be read"),
         ] {
-            let refused = read_picture_file(&folder.path().join(name));
-            let error = refused.unwrap_err().to_string();
+            let error = read_picture_file(&folder.path().join(name)).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }
     }

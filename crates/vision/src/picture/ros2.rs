@@ -208,8 +208,8 @@ mod tests {
         for height in 1..=4 {
             // As letters: nothing, `@`, ` !`.
             for width in [256, 64, 0x2120] {
-                let read = read_message(&grey_image(width, height), &FrameLimits::default());
-                let (picture, _) = read.unwrap();
+                let (picture, _) =
+                    read_message(&grey_image(width, height), &FrameLimits::default()).unwrap();
                 assert_eq!(picture.size, PictureSize::new(width, height));
             }
         }

@@ -145,8 +145,11 @@ impl<I, T> Queue<I, T> {
             return self.waiting.first().map(|request| request.requested_at);
         };
         let size = self.waiting[next].size;
-        let of_size = self.of_askers().filter(|request| request.size == size);
-        let first = of_size.map(|request| request.requested_at).min()?;
+        let first = self
+            .of_askers()
+            .filter(|request| request.size == size)
+            .map(|request| request.requested_at)
+            .min()?;
         let waiting = self.askers_of(size);
         if waiting.len() >= self.batch_size {
             return Some(first);
@@ -164,8 +167,10 @@ impl<I, T> Queue<I, T> {
 
     /// Those who wait with pictures of `size`.
     fn askers_of(&self, size: PictureSize) -> BTreeSet<Asker> {
-        let of_size = self.of_askers().filter(|request| request.size == size);
-        of_size.filter_map(|request| request.asker).collect()
+        self.of_askers()
+            .filter(|request| request.size == size)
+            .filter_map(|request| request.asker)
+            .collect()
     }
 
     /// The place of the request whose asker is next in turn, among those that `fit`.
@@ -186,8 +191,7 @@ impl<I, T> Queue<I, T> {
             return 1;
         };
         let waiting = self.askers_of(self.waiting[next].size).len();
-        let fitting = batch_sizes(self.batch_size).rev().find(|size| *size <= waiting);
-        fitting.unwrap_or(1)
+        batch_sizes(self.batch_size).rev().find(|size| *size <= waiting).unwrap_or(1)
     }
 
     /// Takes the pictures of the next run: that of the next asker in round-robin order and those of others that have its

@@ -147,8 +147,9 @@ async fn stage_with(
         }),
     };
     let successor = successor(Arc::clone(&script));
-    let starting = Worker::start(settings, WorkerMeter::default(), factory, successor);
-    let (worker, _) = starting.await.unwrap();
+    let (worker, _) = Worker::start(settings, WorkerMeter::default(), factory, successor)
+        .await
+        .unwrap();
     Stage {
         worker,
         started,
@@ -185,8 +186,8 @@ impl Stage {
     }
 
     async fn next_run(&mut self) -> Vec<usize> {
-        let cameras = self.started.recv().await.unwrap().into_iter();
-        cameras.map(|Asker(camera)| camera).collect()
+        let cameras = self.started.recv().await.unwrap();
+        cameras.into_iter().map(|Asker(camera)| camera).collect()
     }
 
     async fn begin(&mut self, camera: usize) -> Asked {
@@ -616,7 +617,10 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
 async fn a_panic_while_the_first_model_is_built_is_an_error() {
     let _held = hold_time();
     let panics = || -> Result<Scripted, _> { panic!("scripted panic") };
-    let panicking = Worker::start(settings(), WorkerMeter::default(), panics, None);
-    let error = panicking.await.err().unwrap().to_string();
+    let error = Worker::start(settings(), WorkerMeter::default(), panics, None)
+        .await
+        .err()
+        .unwrap()
+        .to_string();
     assert!(error.contains("scripted panic"), "{error}");
 }

@@ -54,8 +54,9 @@ impl BatchCompression {
 /// # Errors
 /// [`MessageError`] if it is not compressed with a known dictionary, is truncated, or is too large.
 pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, MessageError> {
-    // An empty payload names dictionary 0, which there is not.
-    let (dictionary, compressed) = payload.split_first().unwrap_or((&0, &[]));
+    let Some((dictionary, compressed)) = payload.split_first() else {
+        return Err(MessageError::Dictionary(0));
+    };
     if *dictionary != REPORT_DICTIONARY {
         return Err(MessageError::Dictionary(*dictionary));
     }

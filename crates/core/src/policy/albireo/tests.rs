@@ -200,31 +200,31 @@ fn decided(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided>
     let mut run = start(settings, u);
     run.picture = size;
     let mut next = random(7);
-    (0..600_u64)
-        .map(|index| {
-            let mut found = Vec::new();
-            for car in 0..6_u64 {
-                let age = (index + 47 * car) % 120;
-                let missed = next() < 0.1;
-                let mut jitter = || 0.004 * (next() - 0.5);
-                let place = BoundingBox::new(
-                    0.1 + 0.007 * age as f64 + jitter(),
-                    0.3 + 0.08 * car as f64 + jitter(),
-                    0.06 + jitter(),
-                    0.08 + jitter(),
-                );
-                if age < 100 && !missed {
-                    found.push(Detection {
-                        bounding_box: place.pixel_corners(size).normalise(size),
-                        ..seen(0.5, 0.9)
-                    });
-                }
+    let mut frames = Vec::new();
+    for index in 0..600_u64 {
+        let mut found = Vec::new();
+        for car in 0..6_u64 {
+            let age = (index + 47 * car) % 120;
+            let missed = next() < 0.1;
+            let mut jitter = || 0.004 * (next() - 0.5);
+            let place = BoundingBox::new(
+                0.1 + 0.007 * age as f64 + jitter(),
+                0.3 + 0.08 * car as f64 + jitter(),
+                0.06 + jitter(),
+                0.08 + jitter(),
+            );
+            if age < 100 && !missed {
+                found.push(Detection {
+                    bounding_box: place.pixel_corners(size).normalise(size),
+                    ..seen(0.5, 0.9)
+                });
             }
-            let state = run.see(&found);
-            let ids = run.records().iter().map(|object| object.id.0).collect();
-            (state, ids)
-        })
-        .collect()
+        }
+        let state = run.see(&found);
+        let ids = run.records().iter().map(|object| object.id.0).collect();
+        frames.push((state, ids));
+    }
+    frames
 }
 
 #[test]

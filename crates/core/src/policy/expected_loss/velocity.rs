@@ -61,8 +61,8 @@ impl VelocityRegression {
             self.weights = solve(self.a, &self.b);
             self.solved = true;
         }
-        let expected = self.weights.tr_mul(&Vector4::from(*features));
-        expected
+        self.weights
+            .tr_mul(&Vector4::from(*features))
             .map(|velocity| velocity.clamp(-LARGEST_VELOCITY, LARGEST_VELOCITY))
             .into()
     }

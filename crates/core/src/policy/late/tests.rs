@@ -131,8 +131,8 @@ proptest! {
                 names.push(compare(&policy, &script)?);
             }
         }
-        let all = known_policies().filter(|name| build(name).can_rewind());
-        prop_assert_eq!(names, all.collect::<Vec<_>>());
+        let all: Vec<_> = known_policies().filter(|name| build(name).can_rewind()).collect();
+        prop_assert_eq!(names, all);
     }
 }
 

@@ -82,28 +82,31 @@ fn a_broken_row_of_mot_challenge_is_named_with_its_line() {
 #[test]
 fn mot_challenge_excuses_its_distractors_and_vehicles_only_for_vehicles() {
     // Classes 1 to 13, each marked as the benchmark's own files do.
-    let rows: String = (1..=13)
-        .map(|class| {
-            format!(
-                "1,{class},11,21,10,20,{},{class},1\n",
-                i32::from(class == 1)
-            )
-        })
-        .collect();
+    let mut rows = String::new();
+    for class in 1..=13 {
+        rows.push_str(&format!(
+            "1,{class},11,21,10,20,{},{class},1\n",
+            i32::from(class == 1)
+        ));
+    }
     let read = |name: &str| {
         let info = SEQINFO.replace("name=M", &format!("name={name}"));
         let files = folder(&[("seqinfo.ini", &info), ("gt/gt.txt", &rows)]);
         let data = mot_challenge::read(files.path()).unwrap();
         let clip = data.clips.into_iter().next().unwrap();
         assert_eq!(clip.truth.unwrap()[0].len(), 1);
-        let marks = clip.ignored[0].iter().map(|ignored| (ignored.mark, ignored.class));
-        marks.collect::<Vec<_>>()
+        clip.ignored[0]
+            .iter()
+            .map(|ignored| (ignored.mark, ignored.class))
+            .collect::<Vec<_>>()
     };
     let vehicles = |number| (Mark::Distractor, Some(ClassId(number)));
     let any = (Mark::Distractor, None);
     let unjudged = (Mark::Unjudged, None);
     // Person on a vehicle, car, bicycle, motorcycle; static person, distractor, three occluders, reflection, crowd.
-    let [car, bicycle, motorcycle] = [2, 1, 3].map(vehicles);
+    let car = vehicles(2);
+    let bicycle = vehicles(1);
+    let motorcycle = vehicles(3);
     let expected = [
         any, car, bicycle, motorcycle, any, any, unjudged, unjudged, unjudged, any, unjudged,
     ];
@@ -282,8 +285,7 @@ fn labels_without_videos_are_divided_by_the_names_of_their_pictures() {
             rules: Rules::Benchmark,
         };
         let clips = bdd100k::read(&source).unwrap().clips;
-        let lengths = clips.into_iter().map(|clip| (clip.name, clip.frames));
-        lengths.collect::<Vec<_>>()
+        clips.into_iter().map(|clip| (clip.name, clip.frames)).collect::<Vec<_>>()
     };
     let expected = [("b1c6".to_owned(), 2), ("b1ca".to_owned(), 1)];
     assert_eq!(read("val_gt.json"), expected);

@@ -199,9 +199,14 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
             refused += answer.refused.len() as u64;
             let refused_ids: BTreeSet<Uuid> =
                 answer.refused.iter().map(|report| report.id).collect();
-            let valid = batch.reports.iter().filter(|report| report.content.is_ok());
-            let ids = valid.filter_map(|report| report.id);
-            stored.extend(ids.filter(|id| !refused_ids.contains(id)));
+            stored.extend(
+                batch
+                    .reports
+                    .iter()
+                    .filter(|report| report.content.is_ok())
+                    .filter_map(|report| report.id)
+                    .filter(|id| !refused_ids.contains(id)),
+            );
         }
     }
     println!(

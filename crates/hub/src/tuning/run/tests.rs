@@ -80,9 +80,9 @@ impl World {
             dies: false,
             factor: 0.9,
         };
-        let nodes = (0..count).map(|i| (format!("cam-{i:03}"), node.clone()));
+        let nodes = (0..count).map(|i| (format!("cam-{i:03}"), node.clone())).collect();
         Self {
-            nodes: nodes.collect(),
+            nodes,
             ..Self::default()
         }
     }
@@ -205,13 +205,16 @@ fn plan() -> RolloutPlan {
 }
 
 fn last(rollout: &Run, what: What) -> &Entry {
-    let mut record = rollout.record.iter();
-    record.rfind(|entry| entry.what == what).unwrap()
+    rollout.record.iter().rfind(|entry| entry.what == what).unwrap()
 }
 
 fn stages_entered(rollout: &Run) -> Vec<&str> {
-    let entered = rollout.record.iter().filter(|e| e.what == What::Stage);
-    entered.map(|e| e.text.as_str()).collect()
+    rollout
+        .record
+        .iter()
+        .filter(|e| e.what == What::Stage)
+        .map(|e| e.text.as_str())
+        .collect()
 }
 
 #[test]
@@ -250,8 +253,12 @@ fn a_rollout_whose_gates_pass_reaches_all_nodes_in_stages() {
     assert_eq!(world.have(new()), 40);
     // Four stages of a hundred seconds: none was shorter than its soak.
     assert!(world.now >= 400 * SECOND, "{}", world.now);
-    let judged = rollout.record.iter().filter(|e| e.what == What::Judged);
-    let verdicts: Vec<_> = judged.map(|e| e.verdict).collect();
+    let verdicts: Vec<_> = rollout
+        .record
+        .iter()
+        .filter(|e| e.what == What::Judged)
+        .map(|e| e.verdict)
+        .collect();
     assert_eq!(verdicts.len(), 8, "half-way and at the end of each");
     // One, three and the last twenty nodes allow no estimate: they took the value and still report.
     let at_the_ends: Vec<_> = verdicts.into_iter().skip(1).step_by(2).collect();
@@ -271,10 +278,8 @@ fn a_stage_that_fails_its_gate_restores_the_old_value_on_all_nodes_of_the_rollou
     assert_eq!(stages_entered(&rollout), ["1 node", "3 nodes", "16 nodes"]);
     assert_eq!(world.most_new, 20);
     assert_eq!(world.have(old()), 40);
-    let mut record = rollout.record.iter();
-    let failed = record.find(|e| e.verdict == Some(Verdict::Failed)).unwrap();
-    let mut gates = failed.gates.iter();
-    let gate = gates.find(|g| g.verdict == Verdict::Failed).unwrap();
+    let failed = rollout.record.iter().find(|e| e.verdict == Some(Verdict::Failed)).unwrap();
+    let gate = failed.gates.iter().find(|g| g.verdict == Verdict::Failed).unwrap();
     assert_eq!(gate.figure, Some(Figure::JoulesMeasured));
     assert_eq!(gate.nodes, 16);
     assert_eq!(gate.compared, 20);
@@ -348,8 +353,8 @@ fn a_failed_stage_is_held_for_a_decision_if_the_plan_says_so() {
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(new()), 0);
-    let people = rollout.record.iter().filter_map(|e| e.who.as_deref());
-    assert_eq!(people.collect::<Vec<_>>(), ["ops", "ops"]);
+    let people: Vec<_> = rollout.record.iter().filter_map(|e| e.who.as_deref()).collect();
+    assert_eq!(people, ["ops", "ops"]);
 }
 
 #[test]

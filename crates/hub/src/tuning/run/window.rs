@@ -47,8 +47,13 @@ impl Run {
     pub(crate) fn windows(&self, now: Millis) -> Vec<BeforeAfterWindows> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
-        let in_stage = self.members.iter().filter(|member| self.is_in_stage(member));
-        let stage_given_ms = in_stage.map(|member| member.given.given_ms).min().unwrap_or(since);
+        let stage_given_ms = self
+            .members
+            .iter()
+            .filter(|member| self.is_in_stage(member))
+            .map(|member| member.given.given_ms)
+            .min()
+            .unwrap_or(since);
         let before = |member: &Member, given_ms: Millis| {
             Window::new(&member.node, member.before, given_ms - baseline, given_ms)
         };

@@ -74,8 +74,7 @@ pub(super) struct Cameras {
 }
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
-    let mut faults = board.readiness.health().faults.into_iter();
-    let of_camera = faults.find(|fault| {
+    let of_camera = board.readiness.health().faults.into_iter().find(|fault| {
         let subject = fault.subject.strip_suffix(PICTURES).unwrap_or(&fault.subject);
         fault.part == CAMERAS && subject == camera.name()
     });

@@ -111,8 +111,7 @@ pub(super) async fn stream(
         Some((next, events))
     });
     let current = shared.board.current(unix_nanoseconds());
-    let all = stream::iter(current).map(Ok).chain(changes);
-    let events = all.filter_map(move |event| {
+    let events = stream::iter(current).map(Ok).chain(changes).filter_map(move |event| {
         // The closure owns the guard, so that the stream's place is free once the stream is dropped.
         let _guard = &ends_at_drop;
         let message = sse::Event::default();

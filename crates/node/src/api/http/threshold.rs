@@ -20,8 +20,10 @@ use utoipa::ToSchema;
 type NamedValue = BTreeMap<String, f64>;
 
 fn named(threshold: Option<Threshold>) -> NamedValue {
-    let named = threshold.map(|threshold| (threshold.name.to_string(), threshold.value));
-    named.into_iter().collect()
+    threshold
+        .map(|threshold| (threshold.name.to_string(), threshold.value))
+        .into_iter()
+        .collect()
 }
 
 /// A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss.

@@ -134,8 +134,11 @@ fn database(file: &Path) -> DatabaseConfig {
 }
 
 fn open(config: &DatabaseConfig) -> Store {
-    let runtime = tokio::runtime::Builder::new_current_thread().build();
-    runtime.unwrap().block_on(Store::open(config)).unwrap()
+    tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap()
+        .block_on(Store::open(config))
+        .unwrap()
 }
 
 /// An empty database, the same in each run.
@@ -191,14 +194,16 @@ impl Hub {
         let Some(recorder) = &mut process.recorder else {
             return Vec::new();
         };
-        let waiting = std::mem::take(&mut process.waiting);
-        let (from, batches): (Vec<_>, Vec<_>) = waiting.into_iter().unzip();
+        let (from, batches): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut process.waiting).into_iter().unzip();
         let recorded = recorder.record(&batches, &[], now);
         let replies: Vec<Reply> = match recorded {
-            Ok(recorded) => {
-                let answers = recorded.answers.iter().map(serde_json::to_vec);
-                answers.map(|answer| Ok(answer.unwrap())).collect()
-            }
+            Ok(recorded) => recorded
+                .answers
+                .iter()
+                .map(serde_json::to_vec)
+                .map(|answer| Ok(answer.unwrap()))
+                .collect(),
             Err(error) => {
                 let refusal = ReportRefusal {
                     v: VERSION,
@@ -233,8 +238,7 @@ impl Hub {
             let number = row.get::<_, String>(0)?.parse().unwrap();
             Ok((number, row.get(1)?))
         };
-        let dates = select.query_map([], date).unwrap();
-        dates.collect::<Result<_, _>>().unwrap()
+        select.query_map([], date).unwrap().collect::<Result<_, _>>().unwrap()
     }
 
     /// Asserts that the tables of the database agree.

@@ -118,8 +118,7 @@ impl Node {
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = OutboxConfig::default();
         let outbox = until_unlocked(|| {
-            let opened = self.faults.open(&self.folder, MAX_BYTES, now);
-            opened.map_err(NodeError::new)
+            self.faults.open(&self.folder, MAX_BYTES, now).map_err(NodeError::new)
         });
         let mut schedule = Schedule::new(&config, random, now.at);
         schedule.begin(now.at);
@@ -163,8 +162,11 @@ impl Node {
     fn select(&self, text: &str) -> BTreeSet<usize> {
         let db = Connection::open(self.file()).unwrap();
         let mut select = db.prepare(text).unwrap();
-        let ids = select.query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)));
-        ids.unwrap().map(|id| serial(id.unwrap())).collect()
+        select
+            .query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)))
+            .unwrap()
+            .map(|id| serial(id.unwrap()))
+            .collect()
     }
 
     /// Flips one bit of a file of the node, which is off: of the reports', or of their counts.
@@ -255,8 +257,11 @@ impl Node {
         };
         let reply = reply.as_deref().map_err(Vec::as_slice);
         let answer = read_reply::<ReportAnswer>(reply);
-        let refusals = answer.iter().flat_map(|answer| &answer.refused);
-        let refused = refusals.map(|refusal| serial(refusal.id)).collect();
+        let refused = answer
+            .iter()
+            .flat_map(|answer| &answer.refused)
+            .map(|refusal| serial(refusal.id))
+            .collect();
         let outcome = conclude(outbox, &batch, answer, now);
         if outcome.is_ok() {
             // Acknowledged reports no longer wait in memory.

@@ -133,8 +133,8 @@ impl World {
             world.handle(event);
             let is_late = world.time.now_ms > world.end_ms + SETTLED_WITHIN;
             holds("everything is delivered in the end", !is_late, || {
-                let counts = world.nodes.iter().map(Node::counts);
-                format!("{:?}", counts.collect::<Vec<_>>())
+                let counts: Vec<_> = world.nodes.iter().map(Node::counts).collect();
+                format!("{counts:?}")
             });
         }
         world.check();

@@ -274,8 +274,7 @@ impl Schedule {
             self.again_at,
             self.due_at,
         ];
-        let ahead = ends.into_iter().flatten().filter(|at| *at > now);
-        ahead.fold(latest, Instant::min)
+        ends.into_iter().flatten().filter(|at| *at > now).fold(latest, Instant::min)
     }
 }
 

@@ -59,12 +59,12 @@ impl Broker {
     fn follow(&self) -> Messages {
         let port = self.port.to_string();
         let follow = ["-h", "127.0.0.1", "-p", &port, "-t", "#", "-F", "%r %t %p"];
-        let started = Command::new("mosquitto_sub")
+        let mut process = Command::new("mosquitto_sub")
             .args(follow)
             .stdout(Stdio::piped())
             .kill_on_drop(true)
-            .spawn();
-        let mut process = started.expect("mosquitto_sub is installed");
+            .spawn()
+            .expect("mosquitto_sub is installed");
         let lines = BufReader::new(process.stdout.take().unwrap()).lines();
         Messages {
             seen: Vec::new(),
@@ -152,9 +152,13 @@ impl Client {
     }
 
     fn fault(&self) -> Option<Fault> {
-        let mut faults = self.board.readiness.health().faults.into_iter();
-        let of_mqtt = faults.find(|fault| fault.part == readiness::MQTT);
-        of_mqtt.map(|fault| fault.fault)
+        self.board
+            .readiness
+            .health()
+            .faults
+            .into_iter()
+            .find(|fault| fault.part == readiness::MQTT)
+            .map(|fault| fault.fault)
     }
 
     /// Waits until the part is degraded for a reason that contains `words`.

@@ -48,8 +48,9 @@ impl FrameReceiver {
 
 /// Index and stream of each frame waiting in the ring.
 fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
-    let frames = std::iter::from_fn(|| ring.next().now_or_never());
-    frames.map(|frame| (frame.index, frame.epoch)).collect()
+    std::iter::from_fn(|| ring.next().now_or_never())
+        .map(|frame| (frame.index, frame.epoch))
+        .collect()
 }
 
 #[tokio::test]

@@ -121,8 +121,8 @@ impl SourceAddress {
     /// # Errors
     /// The fault of the address, or the variables that are not set.
     pub(crate) fn resolved(&self) -> Result<Resolved, String> {
-        let resolved = self.resolve(&|name| std::env::var(name).ok());
-        resolved.map_err(|reason| format!("the source {reason}"))
+        self.resolve(&|name| std::env::var(name).ok())
+            .map_err(|reason| format!("the source {reason}"))
     }
 
     fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, String> {

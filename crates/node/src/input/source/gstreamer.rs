@@ -86,8 +86,7 @@ mod tests {
             let expected = format!("-q {pipeline} ! multipartmux ! fdsink fd=1");
             assert_eq!(program.arguments.join(" "), expected);
         }
-        let program = gstreamer(&settings("rtsp://u:hidden@cam/s", ""));
-        let refused = program.err().unwrap();
+        let refused = gstreamer(&settings("rtsp://u:hidden@cam/s", "")).err().unwrap();
         assert_has(&refused, &["install ffmpeg"]);
         assert_lacks(&refused, &["hidden"]);
     }

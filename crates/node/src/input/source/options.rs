@@ -38,8 +38,10 @@ impl SourceOptions {
 
     /// The secret values.
     pub(super) fn secrets(&self) -> impl Iterator<Item = &str> {
-        let secret = self.pairs().into_iter().filter(|(name, _)| is_secret(name));
-        secret.filter_map(|(_, value)| value)
+        self.pairs()
+            .into_iter()
+            .filter(|(name, _)| is_secret(name))
+            .filter_map(|(_, value)| value)
     }
 }
 

@@ -135,8 +135,7 @@ fn environment() -> impl Iterator<Item = (OsString, OsString)> {
 
 fn is_passed_on(name: &str) -> bool {
     let name = name.to_ascii_uppercase();
-    let mut patterns = ENVIRONMENT.split_whitespace();
-    patterns.any(|pattern| match pattern.strip_suffix('*') {
+    ENVIRONMENT.split_whitespace().any(|pattern| match pattern.strip_suffix('*') {
         Some(begin) => name.starts_with(begin),
         None => name == pattern,
     })

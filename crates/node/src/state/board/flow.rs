@@ -83,8 +83,7 @@ impl Flow {
         if !self.is_full() {
             return None;
         }
-        let broken = self.broken(complaint);
-        broken.or_else(|| self.slow()).or_else(|| self.dropping())
+        self.broken(complaint).or_else(|| self.slow()).or_else(|| self.dropping())
     }
 
     /// Says that more than half of the frames are broken.

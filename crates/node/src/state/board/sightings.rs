@@ -82,8 +82,10 @@ impl ClassWatch {
 
     /// The classes that are there.
     pub(super) fn there(&self) -> impl Iterator<Item = &str> {
-        let there = self.watched.iter().filter(|watched| watched.is_there);
-        there.map(|watched| watched.class.as_str())
+        self.watched
+            .iter()
+            .filter(|watched| watched.is_there)
+            .map(|watched| watched.class.as_str())
     }
 
     /// Takes the answer of a frame at `now`; returns what changed by it.
@@ -105,8 +107,12 @@ impl ClassWatch {
         }
         let mut turns = Vec::new();
         for watched in &mut self.watched {
-            let boxes = answer.boxes.iter().filter(|one| one.class == watched.class);
-            let confidences: Vec<f32> = boxes.map(|one| one.confidence).collect();
+            let confidences: Vec<f32> = answer
+                .boxes
+                .iter()
+                .filter(|one| one.class == watched.class)
+                .map(|one| one.confidence)
+                .collect();
             let is_seen = !confidences.is_empty();
             let Some(event) = watched.frame(frame, is_seen, self.appear, self.leave) else {
                 continue;

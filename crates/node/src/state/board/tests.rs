@@ -25,14 +25,12 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
         mount: None,
     };
     board.cameras[0].show(Arc::new(answer(7, FrameState::I)), picture);
-    let received = readers.iter_mut().map(|reader| reader.try_recv().unwrap());
-    let events: Vec<_> = received.collect();
+    let events: Vec<_> = readers.iter_mut().map(|reader| reader.try_recv().unwrap()).collect();
     assert_eq!(events[0].news.camera(), Some("front"));
     let first = events[0].json();
     let frame: Value = serde_json::from_str(first).unwrap();
     assert_eq!(frame["camera"], "front");
     assert_eq!(frame["seq"], 7);
     // The same allocation, not just equal text.
-    let mut written = events.iter().map(|event| event.json());
-    assert!(written.all(|json| std::ptr::eq(json, first)));
+    assert!(events.iter().all(|event| std::ptr::eq(event.json(), first)));
 }

@@ -55,8 +55,11 @@ impl Configuration for Secretive {
     const SECTIONS: &'static [&'static str] = &[];
 
     fn findings(&self) -> Vec<Finding> {
-        let broken = self.token.iter().filter(|token| token.token.is_empty());
-        broken.map(|_| Finding::new("token", "is empty")).collect()
+        self.token
+            .iter()
+            .filter(|token| token.token.is_empty())
+            .map(|_| Finding::new("token", "is empty"))
+            .collect()
     }
 }
 
@@ -287,8 +290,11 @@ fn a_tilde_is_the_home_folder_in_a_file_and_in_a_variable() {
 #[test]
 fn a_wrong_element_of_a_list_leaves_the_others_their_places() {
     let (config, findings) = examine_text::<Small>("camera = [{}, 7, { name = \"a b\" }]\n");
-    let keys = findings.iter().map(|finding| finding.key.as_str());
-    let of_cameras: Vec<_> = keys.filter(|key| key.starts_with("camera")).collect();
+    let of_cameras: Vec<_> = findings
+        .iter()
+        .map(|finding| finding.key.as_str())
+        .filter(|key| key.starts_with("camera"))
+        .collect();
     assert_eq!(of_cameras, ["camera[1]"]);
     assert!(config.unwrap().camera.is_empty());
 }

@@ -168,11 +168,8 @@ fn are_anchors(anchors: i64, size: PictureSize) -> bool {
 }
 
 fn other_anchors(anchors: i64, size: PictureSize) -> String {
-    let all = YOLO_STRIDES.map(|strides| cells(size, strides).to_string());
-    format!(
-        "it has {anchors} anchors, and an input of {size} has {} (by strides)",
-        all.join(", ")
-    )
+    let all = YOLO_STRIDES.map(|strides| cells(size, strides).to_string()).join(", ");
+    format!("it has {anchors} anchors, and an input of {size} has {all} (by strides)")
 }
 
 /// The index of the only output, or of the only one with a row or a column for each cell: exports for training have others

@@ -57,8 +57,10 @@ impl ReadOutputs for FastestDet {
             scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
             match best_class(&scores) {
                 Some((class, score)) if is_score(objectness) => {
-                    let [x, y, width, height] =
-                        [1, 2, 3, 4].map(|number| f64::from(channel(number, cell)));
+                    let x = f64::from(channel(1, cell));
+                    let y = f64::from(channel(2, cell));
+                    let width = f64::from(channel(3, cell));
+                    let height = f64::from(channel(4, cell));
                     let column = (cell % columns) as f64;
                     let line = (cell / columns) as f64;
                     let corners = around([

@@ -53,12 +53,12 @@ impl Rows<'_> {
             x2 - x1 <= LARGEST_BOX * f64::from(self.size.width)
                 && y2 - y1 <= LARGEST_BOX * f64::from(self.size.height)
         };
-        match row.filter(fits) {
-            Some(candidate) if f64::from(candidate.confidence) >= self.confidence => {
-                self.candidates.push(candidate);
-            }
-            Some(_) => {}
-            None => self.rejected += 1,
+        let Some(candidate) = row.filter(fits) else {
+            self.rejected += 1;
+            return;
+        };
+        if f64::from(candidate.confidence) >= self.confidence {
+            self.candidates.push(candidate);
         }
     }
 }

@@ -62,14 +62,24 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     (rejected, candidates)
 }
 
-/// What one of the [`heads`] with one output reads from these rows of numbers `step` apart, all others being 0.
-fn read_rows(name: HeadName, step: usize, rows: &[(usize, &[f32])]) -> (u64, Vec<Candidate>) {
+/// What one of the [`heads`] with one output reads if these boxes, each with its number, have these numbers, and all
+/// others are 0.
+fn read_boxes(name: HeadName, boxes: &[(usize, &[f32])]) -> (u64, Vec<Candidate>) {
     let (head, shapes) = heads().into_iter().find(|(head, _)| head.name == name).unwrap();
     let mut values = vec![0.0; shapes[0].iter().product::<i64>() as usize];
-    for (row, numbers) in rows {
-        let start = if step == 1 { row * numbers.len() } else { *row };
+    // These two have the first number of every box, then the second of every box, and so on.
+    let boxes_of_channel = match name {
+        HeadName::Yolo => Some(42),
+        HeadName::FastestDet => Some(8),
+        _ => None,
+    };
+    for (number_of_box, numbers) in boxes {
         for (place, number) in numbers.iter().enumerate() {
-            values[start + place * step] = *number;
+            let at = match boxes_of_channel {
+                Some(boxes) => place * boxes + number_of_box,
+                None => number_of_box * numbers.len() + place,
+            };
+            values[at] = *number;
         }
     }
     read(&head, &[(&shapes[0], &values)])
@@ -118,10 +128,20 @@ fn sigmoid(logit: f32) -> f32 {
 fn detr_keeps_the_best_pairs_of_query_and_class_and_no_more_than_there_are_queries() {
     let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
     let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
-    let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
+    let boxes = [
+        [0.5, 0.5, 0.5, 0.5],
+        [0.25, 0.5, 0.5, 1.0],
+        [0.1, 0.1, 0.1, 0.1],
+    ];
     // The first query has both classes; of the last, one is below the threshold and one is the fourth best.
-    let logits = [2.0, 0.5, -3.0, 1.0, 0.2, -0.1];
-    let (rejected, found) = read(&head, &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)]);
+    let logits = [[2.0, 0.5], [-3.0, 1.0], [0.2, -0.1]];
+    let (rejected, found) = read(
+        &head,
+        &[
+            (&[1, 3, 4], boxes.as_flattened()),
+            (&[1, 3, 2], logits.as_flattened()),
+        ],
+    );
     assert_eq!(rejected, 0);
     assert_candidates(
         &found,
@@ -137,14 +157,21 @@ fn detr_keeps_the_best_pairs_of_query_and_class_and_no_more_than_there_are_queri
 fn detr_takes_a_query_whole_or_not_at_all() {
     let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 2, 4]), ("labels", &[1, 2, 2])];
     let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
-    let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0];
-    let logits = [2.0, 0.5, -3.0, 1.0];
+    let boxes = [[0.5, 0.5, 0.5, 0.5], [0.25, 0.5, 0.5, 1.0]];
+    let logits = [[2.0, 0.5], [-3.0, 1.0]];
+    // In the first query.
     let mut no_box = boxes;
-    no_box[2] = f32::NAN;
+    no_box[0][2] = f32::NAN;
     let mut no_logit = logits;
-    no_logit[1] = f32::NAN;
+    no_logit[0][1] = f32::NAN;
     for (boxes, logits) in [(no_box, logits), (boxes, no_logit)] {
-        let (rejected, found) = read(&head, &[(&[1, 2, 4], &boxes), (&[1, 2, 2], &logits)]);
+        let (rejected, found) = read(
+            &head,
+            &[
+                (&[1, 2, 4], boxes.as_flattened()),
+                (&[1, 2, 2], logits.as_flattened()),
+            ],
+        );
         assert_eq!(rejected, 1);
         assert_candidates(&found, &[([0.0, 0.0, 100.0, 100.0], 1, sigmoid(1.0))]);
     }
@@ -152,13 +179,15 @@ fn detr_takes_a_query_whole_or_not_at_all() {
 
 #[test]
 fn fastestdet_decodes_its_cells_by_channel() {
-    let rows: [(usize, &[f32]); 3] = [
+    // The sigmoid of -ln 3 is a quarter, that of 0 a half.
+    let quarter = -(3.0_f32.ln());
+    let boxes: [(usize, &[f32]); 3] = [
         // Column 2, row 1: the centre in the cell's corner; a quarter of the picture wide and half of it high.
-        (6, &[0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
+        (6, &[0.9, 0.0, 0.0, quarter, 0.0, 0.2, 0.8]),
         (1, &[0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
         (2, &[0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
     ];
-    let (rejected, found) = read_rows(HeadName::FastestDet, 8, &rows);
+    let (rejected, found) = read_boxes(HeadName::FastestDet, &boxes);
     assert_eq!(rejected, 0);
     let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
     assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
@@ -167,7 +196,7 @@ fn fastestdet_decodes_its_cells_by_channel() {
 #[test]
 fn yolox_decodes_the_cells_of_all_three_strides() {
     let half = 0.5_f32;
-    let rows: [(usize, &[f32]); 5] = [
+    let boxes: [(usize, &[f32]); 5] = [
         // Stride 8, 8 columns: cell 11 is column 3, row 1.
         (11, &[half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
         // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
@@ -178,7 +207,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
         (0, &[0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
         (1, &[0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
     ];
-    let (rejected, found) = read_rows(HeadName::Yolox, 1, &rows);
+    let (rejected, found) = read_boxes(HeadName::Yolox, &boxes);
     assert_eq!(rejected, 0);
     assert_candidates(
         &found,
@@ -202,21 +231,21 @@ fn a_box_with_an_impossible_number_is_rejected_and_counted() {
     let of_yolo = [(2, -4.0), (2, INFINITY), (4, 3.0)];
     let of_end_to_end = [(0, 31.0), (5, -1.0), (5, 0.5), (5, 1e9)];
     let of_yolox = [(1, INFINITY), (2, 1e4), (3, -INFINITY), (4, 7.0), (6, -0.5)];
-    // A good box, how far apart its numbers are, and what spoils it.
-    for (name, good, step, others) in [
-        (Yolo, &yolo[..], 42, &of_yolo[..]),
-        (EndToEnd, &end_to_end, 1, &of_end_to_end),
-        (FastestDet, &cell, 8, &[]),
-        (Yolox, &yolox, 1, &of_yolox),
+    // A good box, and what spoils it.
+    for (name, good, others) in [
+        (Yolo, &yolo[..], &of_yolo[..]),
+        (EndToEnd, &end_to_end, &of_end_to_end),
+        (FastestDet, &cell, &[]),
+        (Yolox, &yolox, &of_yolox),
     ] {
-        let (rejected, found) = read_rows(name, step, &[(0, good)]);
+        let (rejected, found) = read_boxes(name, &[(0, good)]);
         assert_eq!(rejected, 0, "{name:?}");
         assert_eq!(found.len(), 1, "{name:?}");
         let not_numbers = (0..good.len()).map(|place| (place, f32::NAN));
         for (place, number) in not_numbers.chain(others.iter().copied()) {
             let mut row = good.to_vec();
             row[place] = number;
-            let (rejected, found) = read_rows(name, step, &[(0, &row)]);
+            let (rejected, found) = read_boxes(name, &[(0, &row)]);
             assert_eq!(rejected, 1, "{name:?}: {number} in place {place}");
             assert!(found.is_empty(), "{name:?}: {number} in place {place}");
         }

@@ -249,8 +249,7 @@ fn a_picture_that_is_empty_too_short_or_grey_is_refused_with_a_reason() {
         (grey, "an RGB picture of 8x8 needs 192 bytes and has 64"),
     ] {
         for fit in FITS {
-            let mut letterbox = Letterbox::new(format(32, 32, fit));
-            let error = letterbox.fill(&refused).unwrap_err().to_string();
+            let error = Letterbox::new(format(32, 32, fit)).fill(&refused).unwrap_err().to_string();
             assert!(error.contains(reason), "{error}");
         }
     }

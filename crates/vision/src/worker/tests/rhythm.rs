@@ -37,14 +37,16 @@ impl Line {
 
     /// When the next run may begin.
     fn begins_at(&self) -> u64 {
-        let time = self.queue.begins_at().unwrap();
-        time.duration_since(self.start).as_millis() as u64
+        self.queue.begins_at().unwrap().duration_since(self.start).as_millis() as u64
     }
 
     fn run(&mut self) -> Vec<usize> {
-        let batch = self.queue.take_batch();
-        let askers = batch.iter().filter_map(|request| request.asker);
-        askers.map(|Asker(camera)| camera).collect()
+        self.queue
+            .take_batch()
+            .iter()
+            .filter_map(|request| request.asker)
+            .map(|Asker(camera)| camera)
+            .collect()
     }
 
     /// Lets cameras 0 and 1 ask in twelve rounds, camera 1 so much `later`.

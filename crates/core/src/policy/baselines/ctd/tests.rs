@@ -6,8 +6,7 @@ use proptest::prelude::*;
 
 fn frames_until_detector(run: &mut Run) -> usize {
     let mut frames = 1..100;
-    let called = frames.find(|_| run.see(&[seen(0.5, 0.9)]) == I);
-    called.unwrap()
+    frames.find(|_| run.see(&[seen(0.5, 0.9)]) == I).unwrap()
 }
 
 /// A confirmed object that does not move.

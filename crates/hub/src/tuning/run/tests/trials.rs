@@ -34,9 +34,7 @@ fn running(nodes: usize) -> (World, Run) {
 }
 
 fn joules(arm: &ArmResult) -> &ArmFigure {
-    let mut figures = arm.figures.iter();
-    let joules = figures.find(|one| one.figure == Figure::JoulesMeasured);
-    joules.unwrap()
+    arm.figures.iter().find(|one| one.figure == Figure::JoulesMeasured).unwrap()
 }
 
 #[test]

@@ -9,12 +9,15 @@ use albireo_wire::{AuditRate, AuditReport};
 
 /// The metric families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
-    let shown = board.cameras.iter().map(|camera| ShownCamera {
-        label: ("camera", camera.name()),
-        board: camera,
-        snapshot: camera.snapshot(),
-    });
-    let cameras: Vec<ShownCamera<'_>> = shown.collect();
+    let cameras: Vec<ShownCamera<'_>> = board
+        .cameras
+        .iter()
+        .map(|camera| ShownCamera {
+            label: ("camera", camera.name()),
+            board: camera,
+            snapshot: camera.snapshot(),
+        })
+        .collect();
     frames(page, &cameras);
     newest(page, board, &cameras);
     audit(page, &cameras);
@@ -112,25 +115,28 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
         "albireo_frames_passed_total",
         "Frames that a pause passed over, by cause: the road was empty, the picture has not changed, or is dark as well",
         cameras.iter().flat_map(|camera| {
-            let causes = PassCause::ALL.into_iter().zip(camera.snapshot.passed);
-            let some = causes.filter(|(_, count)| *count > 0);
-            some.map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
+            PassCause::ALL
+                .into_iter()
+                .zip(camera.snapshot.passed)
+                .filter(|(_, count)| *count > 0)
+                .map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
         }),
     );
     for (name, help, value) in COUNTERS {
-        let samples = cameras.iter();
         page.counters(
             name,
             help,
-            samples.map(|camera| ([camera.label], value(&camera.snapshot))),
+            cameras.iter().map(|camera| ([camera.label], value(&camera.snapshot))),
         );
     }
     page.histograms(
         "albireo_frame_latency_seconds",
         "Time from reception to publication of a frame, by frame state",
         cameras.iter().flat_map(|camera| {
-            let states = FrameState::ALL.into_iter().zip(&camera.snapshot.total_latency);
-            states.map(|(state, times)| ([camera.label, ("state", state.as_str())], *times))
+            FrameState::ALL
+                .into_iter()
+                .zip(&camera.snapshot.total_latency)
+                .map(|(state, times)| ([camera.label, ("state", state.as_str())], *times))
         }),
     );
     page.histograms(
@@ -224,8 +230,9 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
 /// The audit's results: sums over cameras and nodes, and rates of each camera.
 fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     let audited = || {
-        let on = cameras.iter();
-        on.filter_map(|camera| Some((camera.label, camera.snapshot.audit.as_ref()?)))
+        cameras
+            .iter()
+            .filter_map(|camera| Some((camera.label, camera.snapshot.audit.as_ref()?)))
     };
     page.counters(
         "albireo_audit_frames_total",

@@ -122,9 +122,12 @@ impl Hub {
 
     /// The notified nodes, in an order independent of hash maps.
     pub(super) fn notices(&self) -> Vec<String> {
-        let hub = self.running.iter();
-        let notices = hub.flat_map(|hub| hub.notices.try_iter());
-        let mut nodes: Vec<String> = notices.map(|notice| notice.node).collect();
+        let mut nodes: Vec<String> = self
+            .running
+            .iter()
+            .flat_map(|hub| hub.notices.try_iter())
+            .map(|notice| notice.node)
+            .collect();
         nodes.sort_unstable();
         nodes
     }

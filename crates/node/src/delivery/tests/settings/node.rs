@@ -171,10 +171,10 @@ impl Node {
         }
         let board = &node.parts.board;
         match setting {
-            DesiredSetting::Threshold(_) => {
-                let mut sources = board.cameras.iter().map(|camera| camera.threshold_source());
-                sources.any(|source| source == SettingSource::Local)
-            }
+            DesiredSetting::Threshold(_) => board
+                .cameras
+                .iter()
+                .any(|camera| camera.threshold_source() == SettingSource::Local),
             DesiredSetting::Target(_) => board.target.report().source == SettingSource::Local,
         }
     }

@@ -16,8 +16,7 @@ use std::time::Duration;
 const RATE: u64 = 20;
 
 fn picture() -> Vec<u8> {
-    let scene = BoxScene::new(3, PictureSize::new(320, 180));
-    scene.frame(0).jpeg(80).unwrap()
+    BoxScene::new(3, PictureSize::new(320, 180)).frame(0).jpeg(80).unwrap()
 }
 
 /// Answers each request on a free port with `answer`, which gets the path. Returns the address.

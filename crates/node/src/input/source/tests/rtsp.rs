@@ -138,10 +138,9 @@ fn serve(
             line.and_then(|line| line.split_once(": ")).map_or("", |(_, value)| value)
         };
         let number = header("CSeq");
-        logins.fetch_add(
-            u64::from(head.contains("Authorization: ")),
-            Ordering::Relaxed,
-        );
+        if head.contains("Authorization: ") {
+            logins.fetch_add(1, Ordering::Relaxed);
+        }
         if method == faults.silent_at {
             continue;
         }
@@ -198,18 +197,20 @@ fn description(film: &[Picture], only_sound: bool) -> String {
 
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let letters = bytes.chunks(3).flat_map(|chunk| {
+    let mut letters = String::new();
+    for chunk in bytes.chunks(3) {
         let read = chunk.iter().fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
         let bits = read << (8 * (3 - chunk.len()));
-        (0..4).map(move |place| {
-            if place <= chunk.len() {
+        for place in 0..4 {
+            let letter = if place <= chunk.len() {
                 char::from(LETTERS[(bits >> (18 - 6 * place)) as usize & 63])
             } else {
                 '='
-            }
-        })
-    });
-    letters.collect()
+            };
+            letters.push(letter);
+        }
+    }
+    letters
 }
 
 fn play(client: &mut TcpStream, film: &[Picture], faults: &Faults) -> io::Result<()> {
@@ -226,7 +227,8 @@ fn play(client: &mut TcpStream, film: &[Picture], faults: &Faults) -> io::Result
         for (place, payload) in fragments.iter().enumerate() {
             packets += 1;
             // Spread as by chance, and the same in each run.
-            if packets.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32 & 0x3FF < faults.lost {
+            let chance = (packets.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) & 0x3FF;
+            if chance < faults.lost {
                 continue;
             }
             let marker = if place + 1 == fragments.len() {
@@ -258,7 +260,9 @@ fn fragments(unit: &[u8]) -> Vec<Vec<u8>> {
     let fragment = |(place, part): (usize, &&[u8])| {
         let begin = if place == 0 { 0x80 } else { 0 };
         let end = if place == last { 0x40 } else { 0 };
-        [&[unit[0] & 0xE0 | 28, begin | end | kind(unit)], *part].concat()
+        let indicator = (unit[0] & 0xE0) | 28;
+        let header = begin | end | kind(unit);
+        [&[indicator, header], *part].concat()
     };
     parts.iter().enumerate().map(fragment).collect()
 }

@@ -143,13 +143,12 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> Run {
     let stop = CancellationToken::new();
     let interval = Duration::from_millis(100);
     let (power, sampler) = start_with("fake", Box::new(plug), interval, stop.clone());
-    let loops: Vec<_> = (0..cameras)
-        .map(|camera| {
-            let policy = config.build().unwrap();
-            let detector = Arc::clone(&detector);
-            tokio::spawn(play(camera, rate, policy, detector, power.clone()))
-        })
-        .collect();
+    let mut loops = Vec::new();
+    for camera in 0..cameras {
+        let policy = config.build().unwrap();
+        let playing = play(camera, rate, policy, Arc::clone(&detector), power.clone());
+        loops.push(tokio::spawn(playing));
+    }
     tokio::time::sleep_until(start + CLIP).await;
     let joules = used_until(start + CLIP);
     let mut reports = Vec::new();
