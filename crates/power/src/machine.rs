@@ -28,8 +28,7 @@ pub(crate) struct Machine {
     /// Cooling devices that limit clocks; 0 if they do not.
     cooling: Vec<PathBuf>,
     /// Counters of throttling events.
-    events: Vec<PathBuf>,
-    last_events: Option<u64>,
+    events: Vec<EventCounter>,
     pi: PathBuf,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
@@ -41,6 +40,13 @@ pub(crate) struct Machine {
     modes: Receiver<String>,
     /// The ACPI platform profile, for machines without `nvpmodel`.
     profile: PathBuf,
+}
+
+#[derive(Debug)]
+struct EventCounter {
+    file: PathBuf,
+    /// Its count when it could last be read: a core that is off for a while keeps it.
+    last: Option<u64>,
 }
 
 /// Reads the condition of this machine now, such as its power mode; what it does not report is absent.
@@ -60,7 +66,6 @@ impl Machine {
             zones: zones(&thermal),
             cooling: cooling(&thermal),
             events: throttling_counters(sys, &cores),
-            last_events: None,
             pi: sys.join(PI_THROTTLED),
             cpu_clocks: clocks(&cores),
             gpu_load: gpu_load(sys, gpu.as_deref()),
@@ -119,16 +124,31 @@ impl Machine {
 
     /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.
     fn throttled(&mut self) -> Option<bool> {
-        let count = |path: &PathBuf| sysfs::number::<u64>(path).ok();
-        let cooling = self.cooling.iter().filter_map(count);
-        let events = self.events.iter().filter_map(count).reduce(|a, b| a + b);
-        let last = std::mem::replace(&mut self.last_events, events);
         // Each is silent on machines that lack it: one that reports a limit is enough, and one that reports none is an
         // answer.
-        let by_cooling = cooling.map(|state| state > 0).reduce(|a, b| a || b);
+        let by_cooling = self
+            .cooling
+            .iter()
+            .filter_map(|file| sysfs::number::<u64>(file).ok())
+            .map(|state| state > 0)
+            .reduce(|a, b| a || b);
         let by_pi = self.pi_word().map(|word| word & PI_NOW != 0);
-        let by_events = events.map(|events| last.is_some_and(|last| events > last));
+        let by_events = self.has_new_events();
         [by_cooling, by_pi, by_events].into_iter().flatten().reduce(|a, b| a || b)
+    }
+
+    /// True if a counter of throttling events has risen since it was last read; `None` if none can be read.
+    fn has_new_events(&mut self) -> Option<bool> {
+        let mut has_new = None;
+        for counter in &mut self.events {
+            let Ok(count) = sysfs::number::<u64>(&counter.file) else {
+                continue;
+            };
+            let has_risen = counter.last.is_some_and(|last| count > last);
+            counter.last = Some(count);
+            has_new = Some(has_risen || has_new == Some(true));
+        }
+        has_new
     }
 
     /// The word of the Raspberry Pi's firmware, which is hexadecimal.
@@ -187,7 +207,7 @@ fn cooling(thermal: &[PathBuf]) -> Vec<PathBuf> {
 }
 
 /// The counters of throttling events: of the cores on a PC, of the power monitors on a Jetson board.
-fn throttling_counters(sys: &Path, cores: &[PathBuf]) -> Vec<PathBuf> {
+fn throttling_counters(sys: &Path, cores: &[PathBuf]) -> Vec<EventCounter> {
     let mut found = Vec::new();
     for core in cores {
         for file in ["core_throttle_count", "package_throttle_count"] {
@@ -205,7 +225,8 @@ fn throttling_counters(sys: &Path, cores: &[PathBuf]) -> Vec<PathBuf> {
             }
         }
     }
-    found
+    let unread = |file| EventCounter { file, last: None };
+    found.into_iter().map(unread).collect()
 }
 
 /// The GPU among the devices whose clock changes.
@@ -244,12 +265,14 @@ const FIRST_MODE: Duration = Duration::from_secs(2);
 fn follow_mode(nvpmodel: PathBuf, period: Duration) -> (Option<String>, Receiver<String>) {
     let (newest, modes) = channel();
     std::thread::spawn(move || {
-        let mut mode = ask(&nvpmodel);
-        while let Some(known) = mode
-            && newest.send(known.clone()).is_ok()
-        {
+        let Some(mut mode) = ask(&nvpmodel) else {
+            return;
+        };
+        while newest.send(mode.clone()).is_ok() {
             std::thread::sleep(period);
-            mode = ask(&nvpmodel).or(Some(known));
+            if let Some(now) = ask(&nvpmodel) {
+                mode = now;
+            }
         }
     });
     (modes.recv_timeout(FIRST_MODE).ok(), modes)

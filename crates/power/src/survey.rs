@@ -58,7 +58,10 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
             automatic: opened.is_ok() && !found.iter().any(|better| better.automatic),
             ..SourceSurvey::default()
         };
-        let watched = opened.and_then(|(_, mut meter)| one.watch(meter.as_mut(), config));
+        let watched = match opened {
+            Ok((_, mut meter)) => one.watch(meter.as_mut(), config),
+            Err(error) => Err(error),
+        };
         one.why_not = watched.err().map(|error| error.of(source.as_str()).to_string());
         found.push(one);
     }
@@ -85,21 +88,23 @@ impl SourceSurvey {
         };
         let seconds = (*to - *from).as_secs_f64();
         self.total_from = last.total_from.to_string();
-        let domains = Domain::ALL.into_iter().filter_map(|domain| {
-            let watts = last.value(domain)?.mean_watts(first.value(domain), seconds);
-            Some((domain.as_str(), watts?))
-        });
-        self.watts = domains.collect();
-        let rails = last.rails.iter().map(|rail| {
+        for domain in Domain::ALL {
+            let Some(value) = last.value(domain) else {
+                continue;
+            };
+            if let Some(watts) = value.mean_watts(first.value(domain), seconds) {
+                self.watts.push((domain.as_str(), watts));
+            }
+        }
+        for rail in &last.rails {
             let before = first.rails.iter().find(|earlier| earlier.name == rail.name);
-            RailNow {
+            self.rails.push(RailNow {
                 name: rail.name.to_string(),
                 watts: rail.value.mean_watts(before.map(|rail| rail.value), seconds),
                 domain: rail.domain.map(Domain::as_str),
                 in_total: rail.in_total,
-            }
-        });
-        self.rails = rails.collect();
+            });
+        }
         Ok(())
     }
 }

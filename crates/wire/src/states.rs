@@ -46,15 +46,17 @@ impl FrameStates {
         *self.count_of(state)
     }
 
-    /// Returns the number of all frames: the sum of the five states.
+    /// Returns the number of all frames: the sum of the five states. The largest number stands for all that are larger, as
+    /// in a message of somebody else.
     pub fn frames(&self) -> u64 {
-        self.e + self.p + self.ei + self.i + self.ai
+        let states = [self.e, self.p, self.ei, self.i, self.ai];
+        states.into_iter().fold(0, u64::saturating_add)
     }
 
     /// Returns the number of frames that skipped the detector: state E or P without the `degraded` ones, which needed
     /// the detector while it was not available.
     pub fn skipped(&self, degraded: u64) -> u64 {
-        (self.e + self.p).saturating_sub(degraded)
+        self.e.saturating_add(self.p).saturating_sub(degraded)
     }
 
     /// Returns the share of frames that [`skipped`](Self::skipped) the detector; 0 without frames.

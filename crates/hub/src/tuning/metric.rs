@@ -124,7 +124,7 @@ impl BeforeAfter {
 
     /// True if the node made clips before the change and none since.
     pub(crate) fn fell_silent(&self) -> bool {
-        let clips = |figures: &Figures| figures.values().map(|mean| mean.clips).max();
-        clips(&self.before) > Some(0) && clips(&self.after).unwrap_or(0) == 0
+        let made_clips = |figures: &Figures| figures.values().any(|mean| mean.clips > 0);
+        made_clips(&self.before) && !made_clips(&self.after)
     }
 }

@@ -5,7 +5,7 @@
 //! (`cam-* & region=north`), and a part after `!` must not (`all & !cam-3`).
 
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
@@ -42,9 +42,14 @@ impl Selector {
         if terms.len() > MOST_TERMS {
             return Err(fault("…", "it has more than 1000 terms"));
         }
+        let mut known = HashSet::new();
         let mut checked = Vec::with_capacity(terms.len());
         for term in terms {
             let term = term.as_ref().trim();
+            let is_repeated = !known.insert(term);
+            if is_repeated {
+                continue;
+            }
             for part in parts(term) {
                 part.check().map_err(|reason| fault(term, reason))?;
             }
@@ -163,6 +168,12 @@ impl fmt::Display for Selector {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn a_name_that_is_repeated_is_there_once() {
+        let selector = Selector::new(&["ghost", "cam-1", "ghost"]).unwrap();
+        assert!(selector.named().eq(["ghost", "cam-1"]));
+    }
 
     fn selected(selector: &str) -> Vec<&'static str> {
         let fleet = [

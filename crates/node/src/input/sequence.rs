@@ -182,7 +182,7 @@ impl Stream {
             return Forward::Continues(self.advance(number, difference, now));
         }
         if let Some(wider) = self.wider(difference) {
-            self.numbering = wider;
+            self.number_by(wider);
             self.opening = None;
             let advance = self.advance(number, difference, now);
             // The frame between arrived, too: nothing is lost.
@@ -259,25 +259,33 @@ impl Stream {
         let newest = &self.recent[self.recent.len().saturating_sub(FIRST)..];
         let all_equal = newest.len() == FIRST && newest.iter().all(|one| *one == difference);
         match self.numbering {
-            Numbering::Times(_) if all_equal => self.numbering = Numbering::Step(difference),
+            Numbering::Times(_) if all_equal => self.number_by(Numbering::Step(difference)),
             Numbering::Times(usual) => {
                 let mean = (usual * 7 + difference) / 8;
-                self.numbering = Numbering::Times(mean.max(1));
+                self.number_by(Numbering::Times(mean.max(1)));
             }
             Numbering::Step(step) if all_equal && difference < step => {
-                self.numbering = Numbering::Step(difference);
+                self.number_by(Numbering::Step(difference));
             }
             Numbering::Step(step) if step > 1 && difference % step != 0 => {
-                self.numbering = Numbering::Times(step);
+                self.number_by(Numbering::Times(step));
             }
             Numbering::Step(step) => {
                 if self.recent.len() == RECENT
                     && let Some(shown) = numbering_of(&self.recent)
                     && shown.usual() > step
                 {
-                    self.numbering = shown;
+                    self.number_by(shown);
                 }
             }
+        }
+    }
+
+    fn number_by(&mut self, numbering: Numbering) {
+        if self.numbering != numbering {
+            self.numbering = numbering;
+            // Its bits are places in the numbering before.
+            self.came = 0;
         }
     }
 
@@ -294,7 +302,7 @@ impl Stream {
                 return 0;
             }
             if let Some(wider) = numbering_of(&self.recent) {
-                self.numbering = wider;
+                self.number_by(wider);
                 self.came = 1;
             }
         }

@@ -83,6 +83,24 @@ fn throttling_is_an_active_cooling_device_but_no_fan_and_an_event_counter_that_r
 }
 
 #[test]
+fn a_counter_that_was_away_for_a_while_is_no_throttling() {
+    let tree = Tree::default();
+    let counter =
+        |cpu: u8| format!("sys/devices/system/cpu/cpu{cpu}/thermal_throttle/core_throttle_count");
+    tree.write(counter(0), "5");
+    tree.write(counter(1), "3");
+    let mut machine = Machine::new(&tree.config());
+    assert_eq!(machine.read().throttled, Some(false));
+    // As that of a core that is switched off.
+    std::fs::remove_file(tree.path(&counter(1))).unwrap();
+    assert_eq!(machine.read().throttled, Some(false));
+    tree.write(counter(1), "3");
+    assert_eq!(machine.read().throttled, Some(false));
+    tree.write(counter(1), "4");
+    assert_eq!(machine.read().throttled, Some(true));
+}
+
+#[test]
 fn the_platform_profile_is_the_mode_without_a_working_nvpmodel() {
     let tree = Tree::default();
     tree.write("sys/firmware/acpi/platform_profile", "low-power");

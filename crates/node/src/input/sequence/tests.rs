@@ -76,6 +76,17 @@ fn a_long_gap_costs_one_more_frame_unless_a_silence_explains_it() {
 }
 
 #[test]
+fn a_number_that_never_came_is_late_also_after_the_numbering_has_changed() {
+    let mut camera = Camera::new();
+    // By forties, once not, and by forties again.
+    camera.send([0, 40, 80, 121, 200, 240, 280, 320], None);
+    assert_eq!(
+        camera.send([160, 320], None),
+        [Arrival::Late, Arrival::Duplicate]
+    );
+}
+
+#[test]
 fn a_sample_with_an_unreadable_number_does_not_also_count_as_lost() {
     let mut camera = Camera::new();
     for (unreadable, seq, lost) in [(0, 0, 0), (0, 1, 0), (2, 6, 2), (0, 9, 2), (1, 10, 0)] {
