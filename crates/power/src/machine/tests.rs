@@ -92,7 +92,7 @@ fn a_counter_that_was_away_for_a_while_is_no_throttling() {
     let mut machine = Machine::new(&tree.config());
     assert_eq!(machine.read().throttled, Some(false));
     // As that of a core that is switched off.
-    std::fs::remove_file(tree.path(&counter(1))).unwrap();
+    std::fs::remove_file(tree.path(counter(1))).unwrap();
     assert_eq!(machine.read().throttled, Some(false));
     tree.write(counter(1), "3");
     assert_eq!(machine.read().throttled, Some(false));
