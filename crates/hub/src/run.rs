@@ -71,20 +71,18 @@ pub async fn run(
         prefix = config.hub.prefix,
         "listening"
     );
+    let http = async {
+        let ended = http.await.map_err(HubError::at("[http]"));
+        // Without its HTTP interface a hub cannot be monitored or controlled, so it stops.
+        shutdown.cancel();
+        ended
+    };
     let work = async {
         let ended = parts(config, &hub, notices).await;
         serving.cancel();
         ended
     };
-    let (http, work) = tokio::join!(
-        async {
-            let ended = http.await.map_err(HubError::at("[http]"));
-            // Without its HTTP interface a hub cannot be monitored or controlled, so it stops.
-            shutdown.cancel();
-            ended
-        },
-        work
-    );
+    let (http, work) = tokio::join!(http, work);
     // The service manager learns of the stop before the process exits, also after an error.
     let _ = manager.await;
     work.and(http)
@@ -188,8 +186,9 @@ async fn open(config: &HubConfig, hub: &Hub) -> Result<Arc<Tuner>, StoreError> {
         Arc::clone(&hub.desired),
         config.tuning.clone(),
         Uuid::now_v7().to_string(),
-    );
-    Ok(Arc::new(tuner.await?))
+    )
+    .await?;
+    Ok(Arc::new(tuner))
 }
 
 /// Opens the Zenoh session; `None` after a shutdown.
@@ -284,8 +283,8 @@ async fn start(
     let part = hub.readiness.part("tuning");
     let following = tuning::follow(Arc::clone(tuner), part, hub.shutdown.clone());
     tasks.essential("tuning", following);
-    // Logs each change of the health.
     tasks.until_shutdown("certificates", hub.certificates.clone().follow());
+    // Logs each change of the health.
     let health = hub.readiness.clone().watch(Duration::from_secs(1));
     tasks.until_shutdown("readiness", health);
 

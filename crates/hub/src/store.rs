@@ -137,13 +137,14 @@ impl Store {
         }
         let url = &self.0.url;
         let timeout_ms = self.0.timeout_ms;
-        Ok(match self.0.kind {
+        let database: Box<dyn Database> = match self.0.kind {
             DatabaseKind::Sqlite => Box::new(sqlite::Sqlite::open(url, timeout_ms, access)?),
             DatabaseKind::Postgres => {
                 let runtime = self.0.runtime.clone();
                 Box::new(postgres::PostgresServer::open(url, timeout_ms, runtime)?)
             }
-        })
+        };
+        Ok(database)
     }
 
     /// Runs `work` in a transaction on a thread that may block, and commits the transaction.

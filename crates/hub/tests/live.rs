@@ -92,7 +92,7 @@ async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
         assert_eq!(today["estimated_joules"], 0.0);
         let skipped = today["skip_rate"].as_f64().unwrap();
         assert!((0.0..=1.0).contains(&skipped), "{today}");
-        shown.push((today["skip_rate"].clone(), today["recall"].clone()));
+        shown.push(json!({"skip_rate": today["skip_rate"], "recall": today["recall"]}));
         let measured = today["measured_joules"].as_f64().unwrap();
         assert!((measured - 101.1).abs() < 1e-3, "{today}");
         let estimated = &page["nodes"][1]["today"]["estimated_joules"];

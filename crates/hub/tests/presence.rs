@@ -63,8 +63,12 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
 async fn paging_returns_each_node_once_in_every_order() {
     let hub = Hub::fresh().await;
     for number in 0..7 {
-        let reasons = [("screen", "no model")];
-        let mut message = full_status(number, 0, &reasons[..usize::from(number == 3)]);
+        let reasons: &[(&str, &str)] = if number == 3 {
+            &[("screen", "no model")]
+        } else {
+            &[]
+        };
+        let mut message = full_status(number, 0, reasons);
         message.waiting = u64::from(number % 3);
         hub.put_status(&format!("car-{number}"), &message).await;
     }

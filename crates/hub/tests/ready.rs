@@ -80,7 +80,8 @@ async fn a_hub_with_a_damaged_page_is_not_ready() {
         connection.query_row(text, [], |row| row.get(0)).unwrap()
     };
     let mut bytes = fs::read(&file).unwrap();
-    bytes[(page as usize - 1) * 4096..][..64].fill(0xa5);
+    let begin = (page as usize - 1) * 4096;
+    bytes[begin..begin + 64].fill(0xa5);
     fs::write(&file, bytes).unwrap();
     let hub = Hub::start(config(&url)).await;
     assert_unavailable(&hub, "car-2").await;
@@ -134,8 +135,8 @@ async fn a_second_hub_on_one_file_says_so_and_takes_over() {
     let stop = shutdown.clone();
     let two = tokio::spawn(async move { albireo_hub::run(&second, listener, stop).await });
     let ready = async || -> Value {
-        let response = reqwest::get(format!("{http}/readyz")).await;
-        response.unwrap().json().await.unwrap()
+        let response = reqwest::get(format!("{http}/readyz")).await.unwrap();
+        response.json().await.unwrap()
     };
     let until = Instant::now() + Duration::from_secs(60);
     loop {
@@ -166,12 +167,9 @@ async fn postgres_a_frozen_server_makes_a_hub_not_ready_within_seconds() {
     server.signal("-STOP");
     let frozen = Instant::now();
     let page = hub.until("/readyz", |page| page["ready"] == false).await;
-    // The server has 50 s to answer.
-    assert!(
-        frozen.elapsed() < Duration::from_secs(20),
-        "{:?}",
-        frozen.elapsed()
-    );
+    let waited = frozen.elapsed();
+    // The hub does not wait for the end of the 50 s that the server has to answer.
+    assert!(waited < Duration::from_secs(20), "{waited:?}");
     let why = page["reasons"]["database"].as_str().unwrap();
     assert!(why.contains("waits for the database"), "{why}");
     server.signal("-CONT");

@@ -18,18 +18,18 @@ async fn hold(hub: &Hub, target: &Value, select: &str, counts: Value) -> Value {
 
 /// The target that each node reports.
 fn held(nodes: &Value) -> Vec<Value> {
-    let nodes = nodes["nodes"].as_array().unwrap().iter();
-    let targets = nodes.map(|node| node["status"]["target"]["target"].clone());
-    targets.collect()
+    nodes["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| node["status"]["target"]["target"].clone())
+        .collect()
 }
 
 /// True if the hub has heard each node since the time `since_ms`.
 fn all_heard_since(nodes: &Value, since_ms: i64) -> bool {
-    let mut nodes = nodes["nodes"].as_array().unwrap().iter();
-    nodes.all(|node| match node["heard_ms"].as_i64() {
-        Some(heard_ms) => heard_ms > since_ms,
-        None => false,
-    })
+    let heard_since = |node: &Value| node["heard_ms"].as_i64().is_some_and(|ms| ms > since_ms);
+    nodes["nodes"].as_array().unwrap().iter().all(heard_since)
 }
 
 async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_before(database: &str) {
@@ -174,9 +174,7 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     // Without waiting for the nodes.
     let give = async |select: &str, u: f64| {
         let body = json!({"u": u, "select": select, "wait_s": 0});
-        let path = "/api/v1/threshold";
-        let ok = StatusCode::OK;
-        let answer = send(&hub, Method::PUT, path, body, ok).await;
+        let answer = send(&hub, Method::PUT, "/api/v1/threshold", body, StatusCode::OK).await;
         answer["revision"].as_u64().unwrap()
     };
     for node in ["car-1", "car-2"] {

@@ -99,12 +99,11 @@ fn all(u: f64) -> Value {
 
 /// The threshold that each node reports.
 pub(crate) fn values(nodes: &Value) -> Vec<f64> {
-    let value = |node: &Value| node["status"]["cameras"][0]["threshold"]["value"].as_f64();
     nodes["nodes"]
         .as_array()
         .unwrap()
         .iter()
-        .map(|node| value(node).unwrap())
+        .map(|node| node["status"]["cameras"][0]["threshold"]["value"].as_f64().unwrap())
         .collect()
 }
 
@@ -134,15 +133,17 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     })
     .await;
     let answer = put(&hub, all(5e-4), json!({"applied": 4})).await;
-    let revision = answer["revision"].as_u64();
-    assert!(revision > last.as_u64(), "{answer}");
+    let revision = answer["revision"].as_u64().unwrap();
+    assert!(revision > last.as_u64().unwrap(), "{answer}");
 
     // Each outcome is streamed.
-    let request = reqwest::Client::new()
+    let response = reqwest::Client::new()
         .put(format!("{}/api/v1/threshold", hub.http))
         .header("accept", "application/x-ndjson")
-        .json(&json!({"u": 2e-4, "select": ["all"], "wait_s": 60}));
-    let response = request.send().await.unwrap();
+        .json(&json!({"u": 2e-4, "select": ["all"], "wait_s": 60}))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(response.headers()["content-type"], "application/x-ndjson");
     let text = response.text().await.unwrap();
     let lines: Vec<Value> = text.lines().map(serde_json::from_str).map(Result::unwrap).collect();
@@ -161,7 +162,7 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     hub.put_status("liar", &liar).await;
     hub.until("/api/v1/nodes", |page| page["total"] == 5).await;
     let answer = put(&hub, all(1e-4), json!({"applied": 4, "refused": 1})).await;
-    assert!(answer["revision"].as_u64() < revision.map(|one| one + 1000));
+    assert!(answer["revision"].as_u64().unwrap() < revision + 1000);
     let liar = answer["nodes"].as_array().unwrap().iter().find(|line| line["node"] == "liar");
     assert_contains(&liar.unwrap()["detail"], &["revision 9007199254740992"]);
     simulated.end().await;
@@ -188,10 +189,8 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
     })
     .await;
     // A setting given while it is offline is dropped with it.
-    let change = json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0});
-    let path = "/api/v1/threshold";
-    let ok = StatusCode::OK;
-    let answer = send(&hub, Method::PUT, path, change, ok).await;
+    let body = json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0});
+    let answer = send(&hub, Method::PUT, "/api/v1/threshold", body, StatusCode::OK).await;
     let change = answer["revision"].as_u64().unwrap();
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NO_CONTENT);
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NOT_FOUND);
@@ -322,7 +321,11 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     assert_eq!(origins, ["rollout 1"; 3], "{revisions}");
 
     // The first value changes so many frames that the difference is far above any noise.
-    let trial_of = |values: Value, seconds: u64| json!({"values": values, "select": ["all"], "duration_s": seconds, "seed": 1});
+    let trial_of = |values: Value, seconds: u64| {
+        json!({
+            "values": values, "select": ["all"], "duration_s": seconds, "seed": 1,
+        })
+    };
     let plan = trial_of(json!([{"u": 1e-5}, {"u": 3.5e-4}]), 5);
     let trial = begin(&hub, "/api/v1/trials", plan).await;
     assert_eq!(trial["id"], 1, "{trial}");
@@ -369,8 +372,9 @@ async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
     let hub = hub.restart().await;
     let done = ended(&hub, &path).await;
     assert_eq!(done["phase"], "done", "{done}");
-    let record = done["record"].as_array().unwrap().iter();
-    assert_eq!(record.filter(|entry| entry["what"] == "stage").count(), 3);
+    let record = done["record"].as_array().unwrap();
+    let stages = record.iter().filter(|entry| entry["what"] == "stage");
+    assert_eq!(stages.count(), 3);
     assert_eq!(values(&hub.get("/api/v1/nodes").await), [5e-4; 6]);
     // The old values can be restored even after its end.
     command(&hub, &format!("{path}/return"), StatusCode::OK).await;

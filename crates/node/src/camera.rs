@@ -109,9 +109,8 @@ impl CameraParts {
     }
 
     fn hand_over(&self, closed: Option<Clip>) {
-        if let Some(closed) = closed
-            && self.closed.send(closed).is_err()
-        {
+        let Some(closed) = closed else { return };
+        if self.closed.send(closed).is_err() {
             tracing::error!("a clip is lost: its reporter has stopped");
         }
     }

@@ -41,11 +41,16 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     let detector = Arc::new(config.detector_here());
     let opened = Arc::clone(&detector);
     let found = tokio::task::spawn_blocking(move || try_detector(&opened)).await;
-    let (network, outcome) = match found.unwrap_or_else(|error| Err(error.into())) {
-        Ok((network, text)) => (Some(Arc::new(Mutex::new(network))), Ok(text)),
-        Err(error) => (None, Err(error)),
+    let network = match found.unwrap_or_else(|error| Err(error.into())) {
+        Ok((network, text)) => {
+            report("detector", Ok(text));
+            Some(Arc::new(Mutex::new(network)))
+        }
+        Err(error) => {
+            report("detector", Err(error));
+            None
+        }
     };
-    report("detector", outcome);
     let onnxruntime = config.detector.onnxruntime.as_deref();
     match ScreenHandle::start(&config.screen, onnxruntime).await {
         Ok(Some(screen)) => {
@@ -138,11 +143,11 @@ fn try_picture(
     let prepared = network.preparation().prepare(&decoded).map_err(|fault| unusable(&fault))?;
     let found = network.detect(&prepared)?;
     if let Some(doubt) = network.doubt() {
-        return Err(format!(
+        let reason = format!(
             "the detector finds only what is impossible: {doubt}; choose another detector.head, or list the columns of \
              the model's output"
-        )
-        .into());
+        );
+        return Err(reason.into());
     }
     let mut classes: Vec<&str> = found
         .detections
@@ -274,11 +279,11 @@ async fn try_hub(config: &NodeConfig) -> Result<String, TrialFailure> {
     if found.map_err(|error| session::plain(&error))? {
         return Ok("the router answers, and a hub accepts reports".to_owned());
     }
-    Err(format!(
+    let reason = format!(
         "the router answers, but no hub accepts reports: is the hub running, with hub.prefix as node.prefix, and does \
          the router's access control let this node's certificate use `{key}`?"
-    )
-    .into())
+    );
+    Err(reason.into())
 }
 
 /// True if somebody answers queries on `key`. Zenoh learns that a moment after the session is open.

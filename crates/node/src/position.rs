@@ -193,11 +193,12 @@ impl Positions {
         if self.source.is_receiver() && known.heard.elapsed() >= SILENT {
             let source = &self.source;
             let words = known.words();
-            return Some(if words.is_empty() {
+            let reason = if words.is_empty() {
                 format!("{source} has not answered yet")
             } else {
                 format!("{source} gives no position: {words}")
-            });
+            };
+            return Some(reason);
         }
         let last = known.last_refused.as_ref()?;
         if last.at.elapsed() >= REFUSED_FOR {

@@ -201,7 +201,10 @@ impl Recorder {
     /// # Errors
     /// If the system gives no thread.
     pub(crate) fn start(&self, limits: FrameLimits, memory: PictureMemory) -> std::io::Result<()> {
-        let (Some(orders), Some(folder)) = (self.orders.lock().take(), &self.config.folder) else {
+        let Some(folder) = &self.config.folder else {
+            return Ok(());
+        };
+        let Some(orders) = self.orders.lock().take() else {
             return Ok(());
         };
         let (end, ended) = oneshot::channel();
@@ -273,7 +276,8 @@ impl Recorder {
         let bytes = order.bytes();
         let waiting = self.waiting.fetch_add(bytes, Ordering::Relaxed);
         let has_room = waiting == 0 || waiting + bytes <= MOST_WAITING_BYTES;
-        if !has_room || queue.try_send(order).is_err() {
+        let is_sent = has_room && queue.try_send(order).is_ok();
+        if !is_sent {
             self.waiting.fetch_sub(bytes, Ordering::Relaxed);
             self.drop_one();
         }

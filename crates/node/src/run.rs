@@ -158,12 +158,14 @@ fn early_routes(node: &str) -> Router {
 
 /// Logs the main facts in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
-    let cameras = board.cameras.iter();
-    let from: Vec<_> = cameras
-        .clone()
+    let from: Vec<_> = board
+        .cameras
+        .iter()
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let thresholds: BTreeSet<_> = cameras
+    let thresholds: BTreeSet<_> = board
+        .cameras
+        .iter()
         .filter_map(|camera| camera.threshold_in_force())
         .map(|threshold| threshold.to_string())
         .collect();

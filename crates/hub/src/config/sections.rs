@@ -50,20 +50,20 @@ impl Default for DatabaseConfig {
 impl DatabaseConfig {
     /// The URL without its password and parameters, which may contain a password too.
     pub fn shown(&self) -> String {
-        let mut shown = match self.url.split_once('?') {
-            Some((place, _)) if place.contains("://") => format!("{place}?***"),
-            _ => self.url.clone(),
-        };
+        let mut shown = self.url.clone();
         for secret in self.passwords() {
             shown = shown.replace(&format!(":{secret}@"), "@");
         }
-        shown
+        match shown.split_once('?') {
+            Some((place, _)) if place.contains("://") => format!("{place}?***"),
+            _ => shown,
+        }
     }
 
     /// The passwords in the URL: the user's, and any in the parameters.
     pub(crate) fn passwords(&self) -> impl Iterator<Item = &str> {
-        let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
-        let of_user = password_of_user(place);
+        let of_user = password_of_user(&self.url);
+        let (_place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
         let others = parameters.split('&').filter_map(|one| one.strip_prefix("password="));
         of_user.into_iter().chain(others)
     }
@@ -82,9 +82,14 @@ impl DatabaseConfig {
 }
 
 /// The password in `postgres://USER:PASSWORD@HOST/DATABASE`.
-fn password_of_user(place: &str) -> Option<&str> {
-    let (_scheme, behind_scheme) = place.split_once("://")?;
-    let (login, _host) = behind_scheme.rsplit_once('@')?;
+fn password_of_user(url: &str) -> Option<&str> {
+    let (_scheme, behind_scheme) = url.split_once("://")?;
+    let (mut place, _parameters) = behind_scheme.split_once('?').unwrap_or((behind_scheme, ""));
+    // A `?` of the password must be written as %3F. A password in which it is not must not be shown all the same.
+    if !place.contains(['@', '/']) {
+        place = behind_scheme;
+    }
+    let (login, _host) = place.rsplit_once('@')?;
     let (_user, password) = login.split_once(':')?;
     Some(password)
 }

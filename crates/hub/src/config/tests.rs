@@ -21,7 +21,7 @@ fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {
 
 #[test]
 fn an_impossible_value_is_rejected_with_its_key() {
-    // Behind an arrow stands the key of the finding, where it is another one than the one that is set.
+    // After `->` stands the key that is reported, where that is not the key that the text sets.
     for case in [
         r#"hub.prefix = "a//b""#,
         r#"zenoh.mode = "boss""#,
@@ -45,5 +45,28 @@ fn an_impossible_value_is_rejected_with_its_key() {
         let found = problem(text);
         let expected = format!("{key}: ");
         assert!(found.starts_with(&expected), "{text}: {found}");
+    }
+}
+
+#[test]
+fn a_database_url_is_shown_without_its_password_also_one_with_a_question_mark() {
+    for (url, expected) in [
+        ("postgres://u:secret@host/db", "postgres://u@host/db"),
+        ("postgres://u:pa?ss@host/db", "postgres://u@host/db"),
+        (
+            "postgres://u:secret@host/db?sslmode=require",
+            "postgres://u@host/db?***",
+        ),
+        (
+            "postgres://u@host/db?password=a@b",
+            "postgres://u@host/db?***",
+        ),
+        ("sqlite:hub.db?mode=ro", "sqlite:hub.db?mode=ro"),
+    ] {
+        let config = DatabaseConfig {
+            url: url.to_owned(),
+            ..DatabaseConfig::default()
+        };
+        assert_eq!(config.shown(), expected);
     }
 }

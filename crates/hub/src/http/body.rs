@@ -41,15 +41,17 @@ where
 /// Reads the threshold that is the only field: `"u": 5e-4`.
 fn threshold(fields: &Map<String, Value>) -> Result<Threshold, Problem> {
     let mut fields = fields.iter();
-    match (fields.next(), fields.next()) {
-        (Some((name, value)), None) => match value.as_f64() {
-            Some(value) => Ok(Threshold::new(name, value)),
-            None => Err(unusable(format!("`{name}` must be a number"))),
-        },
-        (None, _) => Err(unusable("there must be a threshold, such as \"u\": 5e-4")),
-        (Some((one, _)), Some((other, _))) => Err(unusable(format!(
-            "`{one}` and `{other}`: there must be one threshold and no other unknown field"
-        ))),
+    let Some((name, value)) = fields.next() else {
+        return Err(unusable("there must be a threshold, such as \"u\": 5e-4"));
+    };
+    if let Some((other, _)) = fields.next() {
+        return Err(unusable(format!(
+            "`{name}` and `{other}`: there must be one threshold and no other unknown field"
+        )));
+    }
+    match value.as_f64() {
+        Some(value) => Ok(Threshold::new(name, value)),
+        None => Err(unusable(format!("`{name}` must be a number"))),
     }
 }
 

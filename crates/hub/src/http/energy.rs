@@ -48,7 +48,8 @@ pub(super) async fn sums(
     let wanted_until_s = wanted.until_ms.map(|ms| ms.div_euclid(1000));
     let is_whole_hour = |time: Option<i64>| time.is_none_or(|time| time.rem_euclid(HOUR) == 0);
     let kept_s = now_s - i64::from(hub.five_minutes_days) * DAY;
-    let is_too_old = wanted_since_s.is_some_and(|since| since < kept_s);
+    let first_s = wanted_since_s.unwrap_or(now_s - 7 * DAY);
+    let is_too_old = first_s < kept_s;
     let are_whole_hours = is_whole_hour(wanted_since_s) && is_whole_hour(wanted_until_s);
     let resolution = if are_whole_hours || is_too_old {
         Resolution::Hour
@@ -60,7 +61,7 @@ pub(super) async fn sums(
         Resolution::FiveMinutes => FIVE_MINUTES,
     };
     let round_down = |time: i64| time.div_euclid(span).saturating_mul(span);
-    let since_s = round_down(wanted_since_s.unwrap_or(now_s - 7 * DAY));
+    let since_s = round_down(first_s);
     let until_s = wanted_until_s.unwrap_or(now_s + DAY);
     let end_s = round_down(until_s.saturating_add(span - 1));
     let limit = within("limit", wanted.limit.unwrap_or(1000), 1..=10_000)?;

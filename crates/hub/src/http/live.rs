@@ -90,9 +90,9 @@ pub(super) async fn live(
         let message = watching.next().await?;
         let event = sse::Event::default().event("counters").json_data(message);
         Some((event, watching))
-    })
-    .take_until(shutdown);
-    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+    });
+    let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
+    Ok(Sse::new(events.take_until(shutdown)).keep_alive(keep_alive))
 }
 
 /// A reader of the live counters of one node.
@@ -197,14 +197,14 @@ pub(super) async fn picture(
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
     };
-    let asked = tokio::time::timeout(PICTURE_WITHIN, asking).await;
-    let reply = asked.map_err(|_| {
+    let Ok(asked) = tokio::time::timeout(PICTURE_WITHIN, asking).await else {
         let detail = format!(
             "`{node}` sent no picture of `{camera}` within {} s: it is out of reach, or has no such camera",
             PICTURE_WITHIN.as_secs()
         );
-        Problem::new(StatusCode::GATEWAY_TIMEOUT, detail)
-    })??;
+        return Err(Problem::new(StatusCode::GATEWAY_TIMEOUT, detail));
+    };
+    let reply = asked?;
     match reply.result() {
         Ok(sample) => {
             let seq = sample

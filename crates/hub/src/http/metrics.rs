@@ -201,15 +201,15 @@ fn ingest(page: &mut MetricsPage, hub: &Hub) {
             row("shown", "unpaired", counts.audit_shown.saturating_sub(paired)),
         ],
     );
+    let refused = |reason, batches: u64| ([("reason", reason)], batches as f64);
     page.counters(
         "albireo_hub_batches_refused_total",
         "Batches refused, by reason",
         [
-            ("busy", counts.refused_busy),
-            ("unavailable", counts.refused_unavailable),
-            ("unreadable", counts.refused_unreadable),
-        ]
-        .map(|(reason, batches)| ([("reason", reason)], batches as f64)),
+            refused("busy", counts.refused_busy),
+            refused("unavailable", counts.refused_unavailable),
+            refused("unreadable", counts.refused_unreadable),
+        ],
     );
     page.gauge(
         "albireo_hub_acknowledged_after_p99_seconds",

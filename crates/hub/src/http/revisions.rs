@@ -140,10 +140,12 @@ async fn give(
         nodes.sort_by(|a, b| a.node.cmp(&b.node));
         return Ok(Json(Revision { nodes, ..revision }).into_response());
     }
+    // The revision has the nodes whose outcome is still to be sent; after the last line there is none.
     let texts = stream::unfold((tuner, Some(revision)), move |(tuner, rest)| async move {
         let mut rest = rest?;
         if rest.nodes.is_empty() {
-            return Some((written(&[rest]), (tuner, None)));
+            let last_line = written(&[rest]);
+            return Some((last_line, (tuner, None)));
         }
         let known = tuner.outcomes(&mut rest, until).await;
         Some((written(&known), (tuner, Some(rest))))

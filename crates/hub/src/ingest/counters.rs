@@ -171,6 +171,7 @@ impl Ages {
             return 0.0;
         }
         let place = (ages.len() * 99).div_ceil(100).saturating_sub(1);
-        ages.select_nth_unstable(place).1.as_secs_f64()
+        let (_, p99, _) = ages.select_nth_unstable(place);
+        p99.as_secs_f64()
     }
 }

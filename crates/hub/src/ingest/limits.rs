@@ -253,6 +253,7 @@ mod tests {
         limit.take_back();
         limit.begin();
         assert!(limit.allows("car-1", "gap", at_ms));
+        // That one was committed: a later transaction that is rolled back does not take it back.
         limit.begin();
         limit.take_back();
         assert!(!limit.allows("car-1", "gap", at_ms), "one a minute");

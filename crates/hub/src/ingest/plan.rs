@@ -239,8 +239,8 @@ impl Counts {
             self.ranges.push((first, last));
             return Seen::Gap { first, last };
         }
-        let mut ranges = self.ranges.iter();
-        if let Some(place) = ranges.position(|(first, last)| (*first..=*last).contains(&count)) {
+        let has_count = |(first, last): &(u64, u64)| (*first..=*last).contains(&count);
+        if let Some(place) = self.ranges.iter().position(has_count) {
             let (first, last) = self.ranges.remove(place);
             let mut rest = vec![(first, count - 1), (count + 1, last)];
             rest.retain(|(first, last)| first <= last);

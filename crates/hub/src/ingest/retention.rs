@@ -62,7 +62,8 @@ pub(crate) fn retain(
     let in_others = delete(database, others, &[events, aside])?;
     let mut most = in_days.max(in_others);
     if let Some(delete_more) = delete_more {
-        most = most.max(delete_more(database, events)?);
+        let in_room = delete_more(database, events)?;
+        most = most.max(in_room);
     }
     database.commit()?;
     Ok(most >= STEP)

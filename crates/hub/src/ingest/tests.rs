@@ -74,8 +74,7 @@ fn a_report_is_too_old_only_if_the_clocks_agree_and_a_wrong_clock_of_the_hub_los
 #[test]
 fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began() {
     const HOUR_MS: i64 = 3_600_000;
-    // A clip that began an hour before it was sent, by a clock that was `then_ms` ahead and is `now_ms` ahead: how far from
-    // the present it is stored, and whether the clock is believed.
+    // The stored clip that began an hour before it was sent, by a clock that was `then_ms` ahead and is `now_ms` ahead.
     let stored = |then_ms: i64, now_ms: i64, made_s: Option<u64>| {
         let by_its_clock = NOW_MS + then_ms - HOUR_MS;
         let id = id(by_its_clock + 40_000);
@@ -90,8 +89,7 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
             first: true,
         });
         let behind_ms = present.behind_when_made(id, age);
-        let clip = clip(&report, present.when_made(id, age), behind_ms).unwrap();
-        (clip.row.at_ms - NOW_MS, clip.is_clock_believed)
+        clip(&report, present.when_made(id, age), behind_ms).unwrap()
     };
     // It was made when its 40 seconds had passed.
     let made_s = Some(3_600 - 40);
@@ -104,28 +102,30 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
         3 * year,
     ] {
         let is_believed = then_ms.abs() <= DAY_MS;
+        let set_since = stored(then_ms, 0, made_s);
+        assert_eq!(set_since.row.at_ms, NOW_MS - HOUR_MS, "{then_ms}");
+        assert_eq!(set_since.is_clock_believed, is_believed, "{then_ms}");
+        let still_ahead = stored(then_ms, then_ms, made_s);
+        let ahead_ms = if is_believed { then_ms } else { 0 };
         assert_eq!(
-            stored(then_ms, 0, made_s),
-            (-HOUR_MS, is_believed),
+            still_ahead.row.at_ms,
+            NOW_MS + ahead_ms - HOUR_MS,
             "{then_ms}"
         );
-        let (at_ms, _) = stored(then_ms, then_ms, made_s);
-        let expected_ms = if is_believed {
-            then_ms - HOUR_MS
-        } else {
-            -HOUR_MS
-        };
-        assert_eq!(at_ms, expected_ms, "{then_ms}");
     }
-    assert_eq!(stored(0, 0, made_s), (-HOUR_MS, true));
-    assert_eq!(
-        stored(-20_000, 0, made_s),
-        (-HOUR_MS - 20_000, true),
-        "slewed"
-    );
+    let right = stored(0, 0, made_s);
+    assert_eq!(right.row.at_ms, NOW_MS - HOUR_MS);
+    assert!(right.is_clock_believed);
+    let slewed = stored(-20_000, 0, made_s);
+    assert_eq!(slewed.row.at_ms, NOW_MS - HOUR_MS - 20_000);
+    assert!(slewed.is_clock_believed);
     // The machine was started since: nothing but its clocks is known.
-    assert_eq!(stored(-45 * DAY_MS, -45 * DAY_MS, None), (0, false));
-    assert_eq!(stored(0, 0, None), (-HOUR_MS, true));
+    let behind = stored(-45 * DAY_MS, -45 * DAY_MS, None);
+    assert_eq!(behind.row.at_ms, NOW_MS);
+    assert!(!behind.is_clock_believed);
+    let right = stored(0, 0, None);
+    assert_eq!(right.row.at_ms, NOW_MS - HOUR_MS);
+    assert!(right.is_clock_believed);
 }
 
 /// A report by its age.

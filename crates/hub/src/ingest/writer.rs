@@ -158,8 +158,7 @@ impl Writer {
         };
         if error.is_temporary() || batches.len() < 2 {
             let had_reports = !batches.is_empty();
-            let outcomes = &self.counters.outcomes;
-            outcomes.failed(&error, had_reports, Instant::now());
+            self.counters.outcomes.failed(&error, had_reports, Instant::now());
             self.unavailable(waiting, &error);
             return;
         }
@@ -173,16 +172,14 @@ impl Writer {
                 }
                 Err(error) => {
                     let had_reports = true;
-                    let outcomes = &self.counters.outcomes;
-                    outcomes.failed(&error, had_reports, Instant::now());
+                    self.counters.outcomes.failed(&error, had_reports, Instant::now());
                     self.unavailable(vec![waiting], &error);
                 }
             }
         }
         // A single batch that the database does not accept says nothing about the others.
         if is_any_stored {
-            let outcomes = &self.counters.outcomes;
-            outcomes.committed(Written::Reports, Instant::now());
+            self.counters.outcomes.committed(Written::Reports, Instant::now());
         }
     }
 

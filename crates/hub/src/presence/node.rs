@@ -63,8 +63,7 @@ impl NodeView {
     /// Its labels.
     pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
         static NONE: BTreeMap<String, String> = BTreeMap::new();
-        let status = self.status.as_ref();
-        status.map_or(&NONE, |status| &status.labels)
+        self.status.as_ref().map_or(&NONE, |status| &status.labels)
     }
 
     /// The threshold in force on all of its cameras; `None` if they differ, have none, or are not known.

@@ -101,7 +101,8 @@ impl dyn Database + '_ {
         let names: Vec<&str> = nodes.iter().map(|node| node.node.as_str()).collect();
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
         let mut before = HashMap::new();
-        for row in read_all::<StateBefore>(self.among(text, &names)?)? {
+        let rows = self.among(text, &names)?;
+        for row in read_all::<StateBefore>(rows)? {
             before.insert(row.name.clone(), row);
         }
         let mut rows = Vec::new();

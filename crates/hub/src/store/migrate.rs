@@ -16,10 +16,11 @@ const STEPS: [(i64, &str); 2] = [
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
     if tables(database)?.is_empty() {
-        database.script(match database.kind() {
+        let schema = match database.kind() {
             DatabaseKind::Sqlite => include_str!("schema/sqlite.sql"),
             DatabaseKind::Postgres => include_str!("schema/postgres.sql"),
-        })?;
+        };
+        database.script(schema)?;
     }
     upgrade(database)?;
     database.commit()

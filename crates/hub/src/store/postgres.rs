@@ -121,15 +121,15 @@ impl Serialize for JsonRow<'_> {
         let mut object = to.serialize_map(Some(self.0.len()))?;
         for (column, cell) in self.0 {
             match cell {
-                Cell::Null => object.serialize_entry(column, &()),
-                Cell::Whole(number) => object.serialize_entry(column, number),
-                Cell::Real(number) => object.serialize_entry(column, number),
+                Cell::Null => object.serialize_entry(column, &())?,
+                Cell::Whole(number) => object.serialize_entry(column, number)?,
+                Cell::Real(number) => object.serialize_entry(column, number)?,
                 Cell::Text(given) if given.contains('\0') => {
-                    object.serialize_entry(column, &text(given))
+                    object.serialize_entry(column, &text(given))?;
                 }
-                Cell::Text(given) => object.serialize_entry(column, given),
-                Cell::Bytes(bytes) => object.serialize_entry(column, &digits(bytes)),
-            }?;
+                Cell::Text(given) => object.serialize_entry(column, given)?,
+                Cell::Bytes(bytes) => object.serialize_entry(column, &digits(bytes))?,
+            }
         }
         object.end()
     }
@@ -154,7 +154,7 @@ fn cell(row: &PgRow, at: usize) -> Result<Cell, StoreError> {
     if value.is_null() {
         return Ok(Cell::Null);
     }
-    Ok(match value.type_info().name() {
+    let cell = match value.type_info().name() {
         "INT8" => Cell::Whole(row.try_get(at)?),
         "INT4" => Cell::Whole(row.try_get::<i32, _>(at)?.into()),
         "INT2" => Cell::Whole(row.try_get::<i16, _>(at)?.into()),
@@ -166,7 +166,8 @@ fn cell(row: &PgRow, at: usize) -> Result<Cell, StoreError> {
                 "a column has the unknown type {kind}"
             )));
         }
-    })
+    };
+    Ok(cell)
 }
 
 #[cfg(test)]

@@ -55,12 +55,13 @@ impl Sqlite {
         connection.execute_batch(
             "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA temp_store=MEMORY;",
         )?;
-        connection.execute_batch(match access {
+        let settings = match access {
             Access::Read => "PRAGMA cache_size=-4096; PRAGMA query_only=ON;",
             Access::Create | Access::Write => {
                 "PRAGMA journal_mode=WAL; PRAGMA cache_size=-32768; PRAGMA wal_autocheckpoint=4000;"
             }
-        })?;
+        };
+        connection.execute_batch(settings)?;
         let limit = match access {
             Access::Read => Some(Duration::from_millis(timeout_ms.saturating_mul(4))),
             Access::Create | Access::Write => None,
@@ -172,7 +173,7 @@ fn for_each_row(
 }
 
 fn read(value: ValueRef<'_>) -> Result<Cell, StoreError> {
-    Ok(match value {
+    let cell = match value {
         ValueRef::Null => Cell::Null,
         ValueRef::Integer(number) => Cell::Whole(number),
         ValueRef::Real(number) => Cell::Real(number),
@@ -180,27 +181,30 @@ fn read(value: ValueRef<'_>) -> Result<Cell, StoreError> {
             .map_err(|error| StoreError::Statement(error.to_string()))?
             .into(),
         ValueRef::Blob(bytes) => Cell::Bytes(bytes.to_vec()),
-    })
+    };
+    Ok(cell)
 }
 
 impl ToSql for Cell {
     fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        Ok(ToSqlOutput::Borrowed(match self {
+        let value = match self {
             Self::Null => ValueRef::Null,
             Self::Whole(number) => ValueRef::Integer(*number),
             Self::Real(number) => ValueRef::Real(*number),
             Self::Text(text) => ValueRef::Text(text.as_bytes()),
             Self::Bytes(bytes) => ValueRef::Blob(bytes),
-        }))
+        };
+        Ok(ToSqlOutput::Borrowed(value))
     }
 }
 
 impl ToSql for Param {
     fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        Ok(ToSqlOutput::Borrowed(match self {
+        let value = match self {
             Self::Whole(number) => ValueRef::Integer(*number),
             Self::Text(text) => ValueRef::Text(text.as_bytes()),
-        }))
+        };
+        Ok(ToSqlOutput::Borrowed(value))
     }
 }
 

@@ -303,11 +303,14 @@ impl Run {
         match (&self.kind, self.phase) {
             (Kind::Trial { plan }, Phase::Running) => milliseconds(plan.duration_s),
             (Kind::Rollout { plan, .. }, Phase::Held) => milliseconds(plan.held_for_s),
-            (Kind::Rollout { plan, .. }, Phase::Soaking) => milliseconds(match self.looks {
-                0 => plan.soak_s / 2.0,
-                1 => plan.soak_s,
-                _ => plan.soak_s + plan.patience_s,
-            }),
+            (Kind::Rollout { plan, .. }, Phase::Soaking) => {
+                let next_look_s = match self.looks {
+                    0 => plan.soak_s / 2.0,
+                    1 => plan.soak_s,
+                    _ => plan.soak_s + plan.patience_s,
+                };
+                milliseconds(next_look_s)
+            }
             _ => 4 * self.patience(),
         }
     }

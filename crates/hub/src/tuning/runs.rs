@@ -73,12 +73,13 @@ impl Tuner {
         }
         let event = EventRow::of(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
-        let written = self.store.write(move |writing| {
-            writing.drop_desired(&forgotten, now)?;
-            writing.forget_node(&forgotten, now)?;
-            writing.insert_events(&[event])
-        });
-        written.await?;
+        self.store
+            .write(move |writing| {
+                writing.drop_desired(&forgotten, now)?;
+                writing.forget_node(&forgotten, now)?;
+                writing.insert_events(&[event])
+            })
+            .await?;
         self.desired.remove(node);
         self.fleet.forget(node);
         Ok(())
@@ -282,9 +283,10 @@ impl Tuner {
         run.count_stages();
         let row = run.clone();
         let driver = self.driver.clone();
-        let written =
-            self.store.write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS));
-        run.id = written.await?;
+        run.id = self
+            .store
+            .write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS))
+            .await?;
         run.unsaved = false;
         Ok(())
     }
@@ -314,11 +316,13 @@ fn able(
     if let Some(why) = value.and_then(|value| node.unable(DesiredSetting::Threshold(*value))) {
         return Err(why);
     }
-    match (node.threshold(), kind) {
-        (None, _) => Err("its cameras have different values".to_owned()),
-        (Some(value), Kind::Rollout { to, .. }) if value == *to => {
-            Err("has the value already".to_owned())
-        }
-        (Some(value), _) => Ok(value),
+    let Some(value) = node.threshold() else {
+        return Err("its cameras have different values".to_owned());
+    };
+    if let Kind::Rollout { to, .. } = kind
+        && value == *to
+    {
+        return Err("has the value already".to_owned());
     }
+    Ok(value)
 }

@@ -184,7 +184,8 @@ impl FromRow for ClipSums {
 pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
     let mut most = 0;
     for text in include_str!("sql/delete_old.sql").split(';') {
-        most = most.max(database.query(text, &[day.into()])?.len());
+        let deleted = database.query(text, &[day.into()])?;
+        most = most.max(deleted.len());
     }
     Ok(most)
 }
@@ -438,7 +439,7 @@ mod tests {
                 // As a message.
                 let message = serde_json::to_string(&given).unwrap();
                 prop_assert_eq!(&serde_json::from_str::<NodeSetting>(&message).unwrap(), &given);
-                // As a row: the setting itself is in the row of its revision.
+                // As a row that is read: the node comes first, and the setting is that of the revision.
                 let mut row: Vec<Cell> = OutcomeRow(&given)
                     .columns()
                     .unwrap()

@@ -211,9 +211,11 @@ impl Tuner {
         let patience = milliseconds(self.config.apply_within_s);
         let mut answered = Vec::new();
         for mut desired in self.desired.list(|one| one.given.outcome.is_open()) {
-            if let Some(view) = self.fleet.view(&desired.node)
-                && desired.given.observe(&view, desired.setting, patience, now)
-            {
+            let Some(view) = self.fleet.view(&desired.node) else {
+                continue;
+            };
+            let has_changed = desired.given.observe(&view, desired.setting, patience, now);
+            if has_changed {
                 answered.push(desired);
             }
         }

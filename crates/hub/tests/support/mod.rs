@@ -73,7 +73,8 @@ impl Hub {
         let given = config.clone();
         let stop = shutdown.clone();
         let task = tokio::spawn(async move { albireo_hub::run(&given, listener, stop).await });
-        let zenoh = [&config.zenoh.listen[..], &config.zenoh.connect].concat()[0].clone();
+        let mut endpoints = config.zenoh.listen.iter().chain(&config.zenoh.connect);
+        let zenoh = endpoints.next().unwrap().clone();
         let hub = Self {
             uplink: reports::uplink(&zenoh).await,
             zenoh,
@@ -110,8 +111,9 @@ impl Hub {
     }
 
     pub(crate) async fn assert_metrics(&self, lines: &[&str]) {
-        let response = reqwest::get(format!("{}/metrics", self.http)).await;
-        assert_contains(&response.unwrap().text().await.unwrap(), lines);
+        let response = reqwest::get(format!("{}/metrics", self.http)).await.unwrap();
+        let metrics = response.text().await.unwrap();
+        assert_contains(&metrics, lines);
     }
 
     pub(crate) async fn clips_with_energy(&self) -> i64 {
@@ -271,7 +273,8 @@ pub(crate) fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> Statu
 pub(crate) async fn script(url: &str, statements: &'static str) {
     if let Some(file) = url.strip_prefix("sqlite:") {
         let database = rusqlite::Connection::open(file).unwrap();
-        return database.execute_batch(statements).unwrap();
+        database.execute_batch(statements).unwrap();
+        return;
     }
     use sqlx::{Connection as _, Executor as _};
     let mut connection = sqlx::PgConnection::connect(url).await.unwrap();

@@ -41,10 +41,14 @@ impl Default for AuditConfig {
 impl AuditConfig {
     /// An audit without results; `None` without an audit.
     pub(crate) fn report(self) -> Option<AuditReport> {
-        (self.share > 0.0).then(|| AuditReport {
-            share: self.share,
-            ..AuditReport::default()
-        })
+        if self.share > 0.0 {
+            Some(AuditReport {
+                share: self.share,
+                ..AuditReport::default()
+            })
+        } else {
+            None
+        }
     }
 
     /// Creates the draw of one camera. Each call returns a different one: frames are counted from 0 at every start, and

@@ -202,8 +202,7 @@ impl LiveEvidence {
                 self.current.waited_for_place += start.elapsed();
             }
             let frame = std::mem::take(&mut self.current.frame);
-            let prepared = self.pixels.prepare(frame, encoded.clone(), stage);
-            self.current.frame = prepared.await?;
+            self.current.frame = self.pixels.prepare(frame, encoded.clone(), stage).await?;
         }
         self.current.times.latency.decode = self.current.frame.decode.map(milliseconds);
         Ok(())

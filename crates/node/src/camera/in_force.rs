@@ -73,9 +73,10 @@ impl Camera {
         if !Arc::ptr_eq(&in_force.policy, &self.policy) {
             self.switch(in_force.policy, arrival);
         }
-        if let Some(value) = in_force.threshold
-            && let Err(error) = self.decider.policy.set_threshold(value)
-        {
+        let Some(value) = in_force.threshold else {
+            return;
+        };
+        if let Err(error) = self.decider.policy.set_threshold(value) {
             tracing::error!(camera = self.parts.board.name(), %error, "the policy rejected a threshold");
         }
     }

@@ -141,11 +141,13 @@ impl NodeConfig {
     /// Finds files with secrets that other users of this machine can read; `file` is the configuration's.
     pub fn exposed_here(&self, file: Option<&Path>) -> Vec<Finding> {
         let mut found = exposed_files(file, &self.http, &self.tokens, &self.zenoh);
-        let key = self.uplink.private_key.as_ref();
-        found.extend(key.and_then(|file| exposed("uplink.private_key", file)));
+        if let Some(key) = &self.uplink.private_key {
+            found.extend(exposed("uplink.private_key", key));
+        }
         found.extend(self.mqtt.exposed());
-        let hooks = self.hooks.iter().enumerate();
-        found.extend(hooks.filter_map(|(index, hook)| hook.exposed(index, file)));
+        for (index, hook) in self.hooks.iter().enumerate() {
+            found.extend(hook.exposed(index, file));
+        }
         for camera in &self.cameras {
             let has_password = camera.source.as_ref().is_some_and(SourceAddress::holds_password);
             if has_password && let Some(file) = file {

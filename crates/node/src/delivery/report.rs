@@ -88,8 +88,8 @@ impl Reporter {
             );
             // Cannot fail: a report holds numbers and text.
             let json = serde_json::to_vec(&report).unwrap_or_default();
-            let put = self.listeners.put(json);
-            if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
+            let published = self.listeners.put(json).encoding(Encoding::APPLICATION_JSON).wait();
+            if let Err(error) = published {
                 self.camera.unpublished.count();
                 tracing::debug!(camera, %error, "a clip report was not published");
             }
@@ -114,12 +114,12 @@ mod tests {
         let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
         let session = crate::api::name::tests::session_alone().await;
-        let publisher = session.declare_publisher("clip").advanced();
+        let listeners = session.declare_publisher("clip").advanced().await.unwrap();
         let reporter = Reporter {
             board,
             outbox: Arc::clone(&node.outbox),
             camera: Arc::clone(&camera),
-            listeners: publisher.await.unwrap(),
+            listeners,
         };
         let energy = PowerHandle::none().camera();
         let mut tracker = ClipTracker::new(ClipConfig::default(), energy, None, "albireo");

@@ -178,12 +178,14 @@ impl Worker {
                     "the hub's router cannot be reached"
                 }
             };
-            // A session that failed for a certificate does not come back by itself.
-            let (why, normal) = match self.setup.board.certificates.invalid() {
-                Some(fault) => (format!("{failed}: {fault}"), Duration::ZERO),
-                None => (failed.to_owned(), self.schedule.offline()),
-            };
-            self.health.no_session(&why, normal);
+            match self.setup.board.certificates.invalid() {
+                // A session that failed for a certificate does not come back by itself.
+                Some(fault) => {
+                    let why = format!("{failed}: {fault}");
+                    self.health.no_session(&why, Duration::ZERO);
+                }
+                None => self.health.no_session(failed, self.schedule.offline()),
+            }
             let pause = sleep(self.reconnect.next());
             if self.stop.run_until_cancelled(pause).await.is_none() {
                 return;
@@ -410,13 +412,13 @@ mod tests {
                 reason.map_or("", String::as_str).contains(wanted)
             });
             let found = tokio::time::timeout(Duration::from_secs(60), fault).await;
-            found.unwrap_or_else(|_| panic!("not said: {wanted}")).unwrap().state
+            assert!(found.is_ok_and(|seen| seen.is_ok()), "not said: {wanted}");
         };
         said("no hub answers on `albireo/@report/node`").await;
         let faults = node.board.readiness.health().faults;
         let uplink_fault = faults.iter().find(|fault| fault.part == readiness::UPLINK);
         assert_eq!(uplink_fault.unwrap().fault.effect, HealthState::Degraded);
-        // A hub that refuses, and one that takes them.
+        // A hub refuses the reports, and takes them later.
         let refusal = ReportRefusal {
             v: VERSION,
             reason: RefusalReason::Unavailable,

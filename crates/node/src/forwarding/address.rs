@@ -126,6 +126,7 @@ impl HookUrl {
         let authority = uri.authority().map_or("", |authority| authority.as_str());
         let (login, host) = authority.rsplit_once('@').unwrap_or(("", authority));
         let login = percent_decode_str(login).collect::<Vec<u8>>();
+        let path = uri.path_and_query().map_or("/", |path| path.as_str());
         Ok(Target {
             host: host.to_owned(),
             login: if login.is_empty() {
@@ -133,7 +134,12 @@ impl HookUrl {
             } else {
                 Some(format!("Basic {}", STANDARD.encode(&login)))
             },
-            path: uri.path_and_query().map_or("/", |path| path.as_str()).to_owned(),
+            path: if path.starts_with('/') {
+                path.to_owned()
+            } else {
+                // An address with a query and no path.
+                format!("/{path}")
+            },
             place,
         })
     }
@@ -208,6 +214,8 @@ mod tests {
         assert_eq!(target.place, expected);
         assert_eq!(target.host, "house.example");
         assert_eq!(target.path, "/a?b=c");
+        let without_path = HookUrl::new("https://house.example?token=abc").target().unwrap();
+        assert_eq!(without_path.path, "/?token=abc");
         let basic = format!("Basic {}", STANDARD.encode("ann:p@ss"));
         assert_eq!(target.login, Some(basic));
         assert_eq!(broker("mqtts://b.example").unwrap().port, 8883);
@@ -230,7 +238,8 @@ mod tests {
             ("https://", "is no address"),
         ] {
             let found = HookUrl::new(text).target().err().unwrap();
-            assert!(found.contains(reason) && !found.contains("cret"), "{found}");
+            assert!(found.contains(reason), "{found}");
+            assert!(!found.contains("cret"), "{found}");
         }
         for (text, reason) in [
             ("broker.example:1883", "must begin with mqtt:// or mqtts://"),
@@ -238,7 +247,8 @@ mod tests {
             ("mqtt://b/topic", "has a path"),
         ] {
             let found = broker(text).unwrap_err();
-            assert!(found.contains(reason) && !found.contains("cret"), "{found}");
+            assert!(found.contains(reason), "{found}");
+            assert!(!found.contains("cret"), "{found}");
         }
     }
 }

@@ -247,6 +247,7 @@ mod tests {
         entities.extend(check(&described.camera("front", &classes)));
         entities.extend(check(&described.camera("rear.2", &classes)));
         assert_eq!(entities.len(), 2 + 2 + 8 + 8);
+        // Both messages about the node have this one entity.
         let problem = described.id.clone() + "_problem";
         entities.retain(|id| *id != problem);
         let unique: BTreeSet<_> = entities.iter().collect();

@@ -91,9 +91,8 @@ impl Hook {
                 Some(Ok(posted)) => posted,
                 Some(Err(_)) => {
                     let within_s = ANSWERED_WITHIN.as_secs();
-                    Err(RefusedPost::for_now(format!(
-                        "did not answer within {within_s} s"
-                    )))
+                    let reason = format!("did not answer within {within_s} s");
+                    Err(RefusedPost::for_now(reason))
                 }
             };
             match posted {
@@ -191,16 +190,15 @@ impl Hook {
         let target = config.target()?;
         let authority = config.root_ca_certificate.as_deref();
         let connector = Connector::new(target.place.clone(), authority)?;
-        let opened = connector.open().await;
-        opened.map_err(|error| format!("{target} {error}"))?;
+        connector.open().await.map_err(|error| format!("{target} {error}"))?;
         Ok(format!("{target} can be reached; nothing was posted"))
     }
 
     /// Posts one sighting. A connection for each: they are seldom, and a kept one would be closed in between.
     async fn post(&self, sighting: &Sighting) -> Result<(), RefusedPost> {
         let stream = self.connector.open().await.map_err(RefusedPost::for_now)?;
-        let opened = http1::handshake(TokioIo::new(stream)).await;
-        let (mut sender, connection) = opened.map_err(RefusedPost::for_now)?;
+        let (mut sender, connection) =
+            http1::handshake(TokioIo::new(stream)).await.map_err(RefusedPost::for_now)?;
         let _connection = AbortOnDropHandle::new(tokio::spawn(connection));
         let status = match sender.send_request(self.request(sighting)?).await {
             Ok(response) => response.status(),

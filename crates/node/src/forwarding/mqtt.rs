@@ -223,8 +223,10 @@ impl Mqtt {
     /// Says goodbye: otherwise the broker would wait, and then publish the last will.
     async fn leave(&mut self, client: &AsyncClient, heard: &mut Heard, topic: &str) {
         let how = PublishOptions::at_least_once().retain(true);
-        let said = client.try_publish(topic.to_owned(), OFFLINE, how);
-        if said.is_err() || client.try_disconnect().is_err() {
+        if client.try_publish(topic.to_owned(), OFFLINE, how).is_err() {
+            return;
+        }
+        if client.try_disconnect().is_err() {
             return;
         }
         let ended = async {
@@ -327,7 +329,8 @@ impl Mqtt {
         let place = config.place().ok_or("no broker is set")??;
         let connector = Connector::new(place.clone(), config.root_ca_certificate.as_deref())?;
         let id = format!("albireo-check-{}", std::process::id());
-        let (client, mut heard, _driver) = connect(options(config, &connector, &place, &id)?)?;
+        let options = options(config, &connector, &place, &id)?;
+        let (client, mut heard, _driver) = connect(options)?;
         while let Some(event) = heard.recv().await {
             match event {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => {
@@ -376,7 +379,8 @@ fn connect(options: MqttOptions) -> Result<(AsyncClient, Heard, AbortOnDropHandl
         loop {
             let event = connection.poll().await;
             let is_over = event.is_err();
-            if say.send(event).await.is_err() || is_over {
+            let said = say.send(event).await;
+            if said.is_err() || is_over {
                 return;
             }
         }
@@ -385,7 +389,8 @@ fn connect(options: MqttOptions) -> Result<(AsyncClient, Heard, AbortOnDropHandl
 }
 
 fn on_off(is_there: bool) -> String {
-    if is_there { "ON" } else { "OFF" }.to_owned()
+    let state = if is_there { "ON" } else { "OFF" };
+    state.to_owned()
 }
 
 /// The reason why a connection failed or ended, and what to do.

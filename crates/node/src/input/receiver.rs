@@ -192,10 +192,8 @@ impl FrameReceiver {
     /// Receives a picture of a source that the node reads itself. A broken one is not given to the detector; a recorded one
     /// has the time and the clip of its recording.
     pub(crate) fn take_picture(&self, taken: SourcePicture) {
-        let (time_ns, clip) = match taken.recorded {
-            Some(recorded) => (recorded.time_ns, Some(recorded.drive)),
-            None => (None, None),
-        };
+        let time_ns = taken.recorded.as_ref().and_then(|recorded| recorded.time_ns);
+        let clip = taken.recorded.map(|recorded| recorded.drive);
         if taken.is_reopened {
             self.stream.lock().epoch += 1;
         }

@@ -200,11 +200,14 @@ mod tests {
                     Act::Push(item) => {
                         let bytes = queue.iter().sum::<u32>() + item;
                         let fits = queue.is_empty() || (queue.len() < items && bytes <= 1000);
-                        let expected = match (closed, fits, newest_wins) {
-                            (true, _, _) => Pushed::Closed,
-                            (_, true, _) => Pushed::Queued,
-                            (_, false, false) => Pushed::Full,
-                            (_, false, true) => Pushed::Replaced,
+                        let expected = if closed {
+                            Pushed::Closed
+                        } else if fits {
+                            Pushed::Queued
+                        } else if newest_wins {
+                            Pushed::Replaced
+                        } else {
+                            Pushed::Full
                         };
                         if expected == Pushed::Replaced {
                             queue.pop_front();

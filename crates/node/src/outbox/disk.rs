@@ -113,9 +113,12 @@ impl Disk for StateFile {
         if self.lock.is_none() {
             self.lock = Some(lock(&self.directory)?);
         }
-        let mut options = File::options();
-        options.create(true).truncate(false).write(true);
-        self.witness = options.open(self.directory.join(WITNESS)).ok();
+        self.witness = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.directory.join(WITNESS))
+            .ok();
         let is_new = !self.file.exists();
         let db = Connection::open(&self.file)?;
         db.busy_timeout(Duration::from_secs(2))?;

@@ -105,6 +105,8 @@ impl Copy<'_> {
     }
 
     fn flush(&mut self) -> Result<(), TableError> {
-        self.into.insert(&std::mem::take(&mut self.read)).map(drop)
+        let read = std::mem::take(&mut self.read);
+        self.into.insert(&read)?;
+        Ok(())
     }
 }

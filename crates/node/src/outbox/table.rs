@@ -291,8 +291,7 @@ impl Table {
 
     /// Copies the log into the file, so that one damaged byte of the log costs few reports.
     pub(super) fn checkpoint(&mut self) -> Result<(), TableError> {
-        let mode = "wal_checkpoint(TRUNCATE)";
-        self.db.query_row(&format!("PRAGMA {mode}"), [], |_| Ok(()))?;
+        self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))?;
         self.written = 0;
         Ok(())
     }
@@ -349,10 +348,11 @@ impl Table {
         while state >= WAITING && used_bytes(&transaction)? > self.most_bytes {
             let oldest = "DELETE FROM report WHERE rowid IN \
                           (SELECT rowid FROM report WHERE state = ? ORDER BY count LIMIT 16)";
-            match transaction.execute(oldest, [state])? {
-                0 => state -= 1,
-                deleted if state == WAITING => lost += deleted as u64,
-                _ => {}
+            let deleted = transaction.execute(oldest, [state])?;
+            if deleted == 0 {
+                state -= 1;
+            } else if state == WAITING {
+                lost += deleted as u64;
             }
         }
         let counters = Counters {

@@ -127,7 +127,8 @@ impl Waiting {
         // The counts since the start continue the earlier ones.
         let before = file.counters;
         file.counters = file.counters.max(self.table.counters);
-        let lost = file.insert(&self.table.reports(REFUSED, usize::MAX)?)?;
+        let in_memory = self.table.reports(REFUSED, usize::MAX)?;
+        let lost = file.insert(&in_memory)?;
         if (is_salvage || !self.was_on_disk)
             && let Some(witness) = disk.witness()
             // A witness that is older than the file knows nothing more.
@@ -210,20 +211,25 @@ impl Waiting {
     fn rescue(&mut self) -> Result<(), TableError> {
         let counters = self.table.counters;
         let file = std::mem::replace(&mut self.table, Table::in_memory(counters)?);
-        let rescued = file.reports(AGAIN, MOST_RESCUED).and_then(|found| self.table.insert(&found));
+        let rescued = match file.reports(AGAIN, MOST_RESCUED) {
+            Ok(found) => self.table.insert(&found).map(drop),
+            Err(error) => Err(error),
+        };
         // The rest is not lost: it is on the disk, and returns with it.
         self.table.counters = counters;
-        rescued.map(drop)
+        rescued
     }
 
     /// Does `work` on the file, or in memory if that fails.
     fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
         let work_and_count = |table: &mut Table| Ok((work(table)?, table.count()?));
-        let mut outcome = match &self.disk {
-            Some(disk) if self.is_on_disk => {
-                disk.check().and_then(|()| work_and_count(&mut self.table))
-            }
-            _ => work_and_count(&mut self.table),
+        let checked = match &self.disk {
+            Some(disk) if self.is_on_disk => disk.check(),
+            _ => Ok(()),
+        };
+        let mut outcome = match checked {
+            Ok(()) => work_and_count(&mut self.table),
+            Err(error) => Err(error),
         };
         if let Err(error) = &outcome
             && self.is_on_disk

@@ -25,12 +25,15 @@ pub(super) enum Reading {
 /// The positions in lines of NMEA 0183 or of gpsd.
 pub fn positions_in(text: &str) -> Vec<Position> {
     let mut has_rmc = false;
-    let read = text.lines().flat_map(|line| [nmea(line, &mut has_rmc), gpsd(line)]);
-    let fix = |reading| match reading {
-        Reading::Fix(position) => Some(position),
-        _ => None,
-    };
-    read.filter_map(fix).collect()
+    let mut positions = Vec::new();
+    for line in text.lines() {
+        for reading in [nmea(line, &mut has_rmc), gpsd(line)] {
+            if let Reading::Fix(position) = reading {
+                positions.push(position);
+            }
+        }
+    }
+    positions
 }
 
 /// Reads a line of NMEA 0183: RMC has position and speed. GGA, which has no speed, counts only for receivers that do not

@@ -29,6 +29,9 @@ const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// How often old recordings are deleted, and a disk that has failed is tried again.
 const TIDY_EVERY: Duration = Duration::from_secs(5);
 
+/// The most events that wait for the first frame of a recording: of a camera that is away for days only the newest tell why.
+const MOST_REASONS: usize = 100;
+
 /// Writes the recordings of all cameras.
 pub(super) struct Writer {
     cameras: Vec<CameraWriter>,
@@ -99,8 +102,11 @@ impl Writer {
 
     /// Writes until nobody gives orders any more, then ends the files.
     pub(super) fn run(&mut self, orders: &Receiver<Order>, waiting: &AtomicUsize) {
-        let created = self.folder.create().map_err(RecordingError::from);
-        self.judge(created.and_then(|()| self.folder.mend()));
+        let prepared = match self.folder.create() {
+            Ok(()) => self.folder.mend(),
+            Err(error) => Err(error.into()),
+        };
+        self.judge(prepared);
         self.tidy();
         let mut kept = Instant::now();
         let mut tidied = Instant::now();
@@ -198,6 +204,9 @@ impl Writer {
         let CameraWriter { file, reasons, .. } = &mut self.cameras[camera];
         if file.is_none() {
             // Written with the next frame: a camera without frames has no recording.
+            if reasons.len() == MOST_REASONS {
+                reasons.remove(0);
+            }
             reasons.push(event);
         } else {
             self.put(camera, |file, name| file.event(name, &event));

@@ -314,20 +314,24 @@ mod tests {
         let file = folder.path().join(FILE);
         let new = folder.path().join("settings.json.new");
         let settings = SettingsFile::open(Some(folder.path()));
-        assert!(settings.set("target", 1) && settings.survive_restart());
+        assert!(settings.set("target", 1));
+        assert!(settings.survive_restart());
         // No file can be created in the place of a folder, as on a full disk.
         std::fs::create_dir(&new).unwrap();
-        assert!(!settings.set("target", 2) && !settings.survive_restart());
+        assert!(!settings.set("target", 2));
+        assert!(!settings.survive_restart());
         let fault = settings.fault().unwrap();
         assert!(fault.contains("not kept over a restart"), "{fault}");
         std::fs::remove_dir(new).unwrap();
         settings.save().unwrap();
-        assert!(settings.survive_restart() && settings.fault().is_none());
+        assert!(settings.survive_restart());
+        assert_eq!(settings.fault(), None);
         // Nor can a folder be read as a file.
         std::fs::remove_file(&file).unwrap();
         std::fs::create_dir(&file).unwrap();
         let settings = SettingsFile::open(Some(folder.path()));
-        assert!(!settings.survive_restart() && settings.fault().is_some());
+        assert!(!settings.survive_restart());
+        assert!(settings.fault().is_some());
         assert!(!SettingsFile::open(None).survive_restart());
     }
 
@@ -336,7 +340,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("disk/state");
         let first = SettingsFile::open(Some(&state));
-        assert!(first.set("target", 1) && first.set("threshold/front", 5));
+        assert!(first.set("target", 1));
+        assert!(first.set("threshold/front", 5));
         std::fs::rename(folder.path().join("disk"), folder.path().join("away")).unwrap();
         std::fs::write(folder.path().join("disk"), b"").unwrap();
         let settings = SettingsFile::open(Some(&state));

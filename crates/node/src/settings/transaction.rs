@@ -97,10 +97,12 @@ impl<'a> Transaction<'a> {
         threshold: Threshold,
         source: SettingSource,
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
-        // All cameras have the node's policy.
-        let spec = cameras.first().and_then(|camera| camera.threshold_spec());
         let policy = self.board.policy().name;
-        let spec = spec.ok_or(InvalidThreshold::Absent { policy })?;
+        // All cameras have the node's policy.
+        let spec = cameras
+            .first()
+            .and_then(|camera| camera.threshold_spec())
+            .ok_or(InvalidThreshold::Absent { policy })?;
         let value = spec.check(threshold.value_of(&spec)?)?;
         // First, so that the controller no longer moves anything.
         if self.board.target.threshold_was_set(source) {

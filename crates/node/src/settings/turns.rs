@@ -177,11 +177,13 @@ impl Settings {
                 tracing::debug!(key, replaced, "the newest of several puts is applied");
             }
             let applied = match self.turns.overtaken_by(&put) {
-                Some(older) => Err(format!(
-                    "it was made {:.3} s before the setting in force, which came by HTTP or from the hub",
-                    older.as_secs_f64()
-                )
-                .into()),
+                Some(older) => {
+                    let reason = format!(
+                        "it was made {:.3} s before the setting in force, which came by HTTP or from the hub",
+                        older.as_secs_f64()
+                    );
+                    Err(reason.into())
+                }
                 None => self.apply(&put.setting, &put.payload),
             };
             if let Err(reason) = applied {
@@ -265,6 +267,7 @@ mod tests {
     use super::*;
     use crate::PreparedNode;
     use crate::settings::tests::{config, prepared, thresholds};
+    use albireo_core::policy::EmptyRoad;
     use albireo_wire::Threshold;
     use std::thread;
 
@@ -345,7 +348,12 @@ mod tests {
         set(r#"{"screen":{"pause_s":0.2}}"#).unwrap();
         set(r#"{"v":1,"screen":{"still_s":10}}"#).unwrap();
         let now = node.board.empty_road();
-        assert_eq!((now.pause_s, now.after_s, now.still_s), (0.2, 1.0, 10.0));
+        let expected = EmptyRoad {
+            pause_s: 0.2,
+            after_s: 1.0,
+            still_s: 10.0,
+        };
+        assert_eq!(now, expected);
         for (payload, words) in [
             (r#"{"screen":{"pause_s":99}}"#, "from 0 to 60"),
             (r#"{"screen":{"pause":1}}"#, "unknown field `pause`"),

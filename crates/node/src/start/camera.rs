@@ -249,7 +249,8 @@ impl SharedParts {
             .callback(move |sample| receiver.take(&sample))
             .await
             .map_err(refused())?;
-        subscriptions.push(Box::new((tokens, frames)));
+        subscriptions.push(Box::new(tokens));
+        subscriptions.push(Box::new(frames));
         Ok(())
     }
 

@@ -80,16 +80,16 @@ impl Models {
 /// Logs how the detector's model is read, and shows it on the board.
 fn show_reading(detector: &DetectorHandle, board: &Board) {
     let left_out = detector.left_out();
+    let remedy = match left_out {
+        [] => "",
+        _ => "; detector.report_classes = [] reports all classes of the model",
+    };
     tracing::info!(
         reads = detector.description(),
         provider = detector.provider().as_str(),
         reports = detector.class_names().join(", "),
         not_reported = left_out.len(),
-        "the detector is ready{}",
-        match left_out {
-            [] => "",
-            _ => "; detector.report_classes = [] reports all classes of the model",
-        }
+        "the detector is ready{remedy}"
     );
     let _ = board.reading.set(ModelReading {
         description: detector.description().to_owned(),

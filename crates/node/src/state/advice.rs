@@ -200,8 +200,9 @@ mod tests {
     #[test]
     fn only_a_threshold_that_prevents_skipping_gets_advice() {
         let spec = Albireo::THRESHOLD;
-        // An empty street, and a cap that calls the detector.
+        // An empty street.
         assert_eq!(advised(FrameState::EI, &spec, 3e-4, 0.0), None);
+        // The uncertainty is below the threshold already: a cap calls the detector.
         assert_eq!(advised(FrameState::I, &spec, 1e-3, 2e-4), None);
         let lambda = ExpectedLoss::THRESHOLD;
         let advised = advised(FrameState::I, &lambda, 0.0, 0.1);

@@ -265,7 +265,11 @@ impl Board {
     /// Adds a place that messages are forwarded to, with a name of its own.
     pub(crate) fn forward_to(&self, place: String) -> Arc<Forwarded> {
         let mut forwarded = self.forwarded.lock();
-        let same = forwarded.iter().filter(|other| other.to.starts_with(&place)).count();
+        let is_same = |other: &&Arc<Forwarded>| match other.to.strip_prefix(&place) {
+            Some(number) => number.is_empty() || number.starts_with(" ("),
+            None => false,
+        };
+        let same = forwarded.iter().filter(is_same).count();
         let name = match same {
             0 => place,
             same => format!("{place} ({})", same + 1),
@@ -308,6 +312,7 @@ impl Board {
         let clips = self.clips.lock();
         let mut newest_first = clips.iter().rev();
         if let Some(before) = before {
+            // Passes over the reports up to this one.
             newest_first.by_ref().find(|report| report.id == before);
         }
         newest_first

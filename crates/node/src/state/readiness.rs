@@ -103,8 +103,10 @@ pub(crate) fn service_state(
     };
     // The detector starts once the session is open: until then, the session is the cause. TensorRT may need a quarter of an
     // hour for an engine, and would begin again after a restart.
-    let mut faults = health.faults.iter();
-    let waits_for_session = faults.any(|fault| fault.part == ZENOH && fault.subject.is_empty());
+    let waits_for_session = health
+        .faults
+        .iter()
+        .any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let may_take_long = *detector == ModelStatus::Starting && (builds_engine || waits_for_session);
     let lasting = health.faults.iter().find(|fault| {
         let own = match fault.part {
@@ -158,14 +160,12 @@ pub(crate) fn check_cameras(board: &Board) {
             if let Some(reason) = now.unusable() {
                 return Some(Fault::degraded(reason));
             }
-            let (age, reason) = match now.last_frame_age() {
-                Some(age) => (age, format!("no frame for more than {} s", limit.as_secs())),
-                None => (
-                    start.elapsed(),
-                    "no frame has arrived since the start".to_owned(),
-                ),
-            };
-            if age > limit {
+            let age = now.last_frame_age();
+            if age.unwrap_or_else(|| start.elapsed()) > limit {
+                let reason = match age {
+                    Some(_) => format!("no frame for more than {} s", limit.as_secs()),
+                    None => "no frame has arrived since the start".to_owned(),
+                };
                 return Some(Fault::degraded(reason));
             }
             now.flow_fault().map(Fault::degraded)

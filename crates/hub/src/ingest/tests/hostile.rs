@@ -141,8 +141,7 @@ async fn what_a_node_can_repeat_fills_no_table_with_events() {
     let folder = tempfile::tempdir().unwrap();
     let now = now();
     let (store, mut recorder) = recorder(&folder, now).await;
-    for round in 0..100 {
-        let state = [PresenceState::Online, PresenceState::Silent][round % 2];
+    for state in [PresenceState::Online, PresenceState::Silent].repeat(50) {
         let node = NodeView {
             node: "car-1".to_owned(),
             state,

@@ -203,11 +203,17 @@ fn arm_figure(
     let fewest = plan.basics.fewest_clips;
     let found = Comparison::of(figure, figure.scale(), own, first, fewest);
     let means = found.means?;
-    let clips = own.iter().filter_map(|node| node.after.get(&figure));
+    // Of the nodes that were compared.
+    let clips = own
+        .iter()
+        .filter(|node| node.means(figure, fewest).is_some())
+        .filter_map(|node| node.after.get(&figure))
+        .map(|mean| mean.clips)
+        .sum();
     Some(ArmFigure {
         figure,
         nodes: found.nodes,
-        clips: clips.map(|mean| mean.clips).sum(),
+        clips,
         before: means.before,
         mean: means.after,
         // The first group is what the others are compared with.

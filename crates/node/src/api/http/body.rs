@@ -22,13 +22,11 @@ pub(super) fn message<T: DeserializeOwned>(
     // preflight, regardless of its content type.
     let accepted = ["", "application/json", "application/x-www-form-urlencoded"];
     if !accepted.iter().any(|accepted| media_type.eq_ignore_ascii_case(accepted)) {
-        return Err(Problem::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            format!(
-                "the content type must be `application/json`, and is `{sent}`; with curl: -H 'content-type: application/json'"
-            ),
-        )
-        .allowing(["application/json"]));
+        let detail = format!(
+            "the content type must be `application/json`, and is `{sent}`; with curl: -H 'content-type: application/json'"
+        );
+        let problem = Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail);
+        return Err(problem.allowing(["application/json"]));
     }
     let fault = |status, what: &dyn Display| {
         Problem::new(status, format!("the body must be {expected}: {what}"))
@@ -48,6 +46,7 @@ pub(super) fn message<T: DeserializeOwned>(
 pub(super) async fn off_the_runtime<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.map_err(|error| Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
+    tokio::task::spawn_blocking(work)
+        .await
+        .map_err(|error| Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
 }

@@ -133,10 +133,9 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
 /// `curl http://127.0.0.1:8080/api/v1/cameras`
 #[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
 pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
-    let cameras = shared.board.cameras.iter();
-    Json(Cameras {
-        cameras: cameras.map(|camera| entry(&shared.board, camera)).collect(),
-    })
+    let board = &shared.board;
+    let cameras = board.cameras.iter().map(|camera| entry(board, camera)).collect();
+    Json(Cameras { cameras })
 }
 
 /// State of a camera: policy, threshold, frame states, suggestions

@@ -115,11 +115,12 @@ pub(super) async fn stream(
         // The closure owns the guard, so that the stream's place is free once the stream is dropped.
         let _guard = &ends_at_drop;
         let message = sse::Event::default();
-        std::future::ready(match event {
+        let sent = match event {
             Ok(event) if !selection.wants(&event.news) => None,
             Ok(event) => Some(message.event(event.news.name()).data(event.json())),
             Err(lost) => Some(message.event(LAGGED).data(json!({ "lost": lost }).to_string())),
-        })
+        };
+        std::future::ready(sent)
     });
     let until_end = events.map(Ok).take_until(end.cancelled_owned());
     Ok(Sse::new(until_end).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))

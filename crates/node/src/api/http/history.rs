@@ -190,8 +190,11 @@ pub(super) async fn skip_estimate(
         return Err(cannot("the policy has no threshold to estimate with"));
     };
     if threshold.name.as_str() != "u" {
-        let why = "only the threshold `u` can be estimated; the threshold of this policy is ";
-        return Err(cannot(&format!("{why}`{}`", threshold.name)));
+        let why = format!(
+            "only the threshold `u` can be estimated; the threshold of this policy is `{}`",
+            threshold.name
+        );
+        return Err(cannot(&why));
     }
     let values = match values.values.as_deref() {
         Some(text) => thresholds(text)?,

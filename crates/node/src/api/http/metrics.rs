@@ -82,7 +82,10 @@ fn node(page: &mut MetricsPage, board: &Board) {
     );
     let wanted = board.providers.first();
     let runs = provider(&status);
-    let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
+    let fell_back = match (wanted, runs) {
+        (Some(wanted), Some(runs)) => wanted.as_str() != runs,
+        _ => false,
+    };
     page.gauge(
         "albireo_detector_fallback",
         "Whether the detector runs on another execution provider than the first configured one",
@@ -300,11 +303,13 @@ fn power(page: &mut MetricsPage, board: &Board) {
         power.covered_s.iter()
             .map(|(domain, seconds)| ([("domain", domain.as_str()), source], *seconds)),
     );
-    let hottest = power.hottest.iter();
     page.gauges(
         "albireo_temperature_celsius",
         "The machine's hottest sensor",
-        hottest.map(|(sensor, celsius)| ([("sensor", sensor.as_str())], *celsius)),
+        power
+            .hottest
+            .iter()
+            .map(|(sensor, celsius)| ([("sensor", sensor.as_str())], *celsius)),
     );
     page.counters(
         "albireo_power_failed_reads_total",

@@ -89,11 +89,8 @@ pub(super) async fn jpeg(
             }
             picture.jpeg(&limits)
         });
-        let made = making.await;
-        (
-            frame.seq,
-            made.unwrap_or_else(|error| Err(error.to_string())),
-        )
+        let file = making.await.unwrap_or_else(|error| Err(error.to_string()));
+        (frame.seq, file)
     };
     let bytes = file.map_err(|reason| {
         let detail = format!("the latest picture of camera `{camera}` cannot be shown: {reason}");

@@ -97,7 +97,8 @@ pub(super) async fn put(
         );
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail));
     }
-    if !shared.recorder.event(camera, reason) {
+    let is_recorded = shared.recorder.event(camera, reason);
+    if !is_recorded {
         let detail = "nothing is recorded here: set record.folder in the configuration";
         return Err(Problem::new(StatusCode::CONFLICT, detail));
     }

@@ -108,12 +108,17 @@ pub(super) fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraState
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = &shared.board;
     let snapshots: Vec<_> = board.cameras.iter().map(|camera| camera.snapshot()).collect();
-    let cameras = board.cameras.iter().zip(&snapshots);
+    let cameras = board
+        .cameras
+        .iter()
+        .zip(&snapshots)
+        .map(|(camera, snapshot)| of(camera, snapshot))
+        .collect();
     Json(NodeStates {
         node: board.node.clone(),
         uptime_s: seconds(board.uptime()),
         counts: FrameCounts::of(&snapshots),
-        cameras: cameras.map(|(camera, shown)| of(camera, shown)).collect(),
+        cameras,
     })
 }
 

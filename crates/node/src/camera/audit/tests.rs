@@ -29,9 +29,16 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         started.lock().push_back(result);
         async { examination.await.unwrap() }.boxed()
     });
-    let done = |found| examined.lock().pop_front().unwrap().send(found).is_ok();
-    // Drawn, missed, examined.
-    let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
+    let done = |found| {
+        let result = examined.lock().pop_front().unwrap();
+        result.send(found).is_ok()
+    };
+    let counts = |audit: &AuditReport| {
+        let drawn = audit.sums.drawn();
+        let missed = audit.sums.missed;
+        let examined = audit.calls;
+        format!("{drawn} drawn, {missed} missed, {examined} examined")
+    };
     let taken = || counts(&board.cameras[0].take_unreported().audit);
     let answer = Arc::new(answer(0, FrameState::P));
     let offer = |audit: &mut CameraAudit| audit.offer(0, &picture(0), &[], &answer);
@@ -39,13 +46,13 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         offer(&mut audit);
     }
     // One frame is examined and two wait; there is no room for the others.
-    assert_eq!(taken(), (2, 2, 0));
+    assert_eq!(taken(), "2 drawn, 2 missed, 0 examined");
     for found in [Some(compared()), None, Some(compared())] {
         assert!(audit.run().now_or_never().is_none());
         assert!(done(found));
     }
     assert!(audit.run().now_or_never().is_none());
-    assert_eq!(taken(), (3, 1, 2));
+    assert_eq!(taken(), "3 drawn, 1 missed, 2 examined");
 
     // When the camera ends, one frame is being examined and one waits; neither result is counted.
     for _ in 0..2 {
@@ -57,7 +64,7 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         assert!(!done(Some(compared())), "nobody waits for it");
     }
     assert!(audit.run().now_or_never().is_none());
-    assert_eq!(taken(), (2, 2, 0));
+    assert_eq!(taken(), "2 drawn, 2 missed, 0 examined");
 
     // Frames are examined afterwards as before.
     offer(&mut audit);
@@ -65,7 +72,7 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     assert!(done(Some(compared())));
     assert!(audit.run().now_or_never().is_none());
     let total = board.cameras[0].snapshot().audit.unwrap();
-    assert_eq!(counts(&total), (8, 5, 3));
+    assert_eq!(counts(&total), "8 drawn, 5 missed, 3 examined");
 }
 
 #[test]

@@ -101,8 +101,7 @@ impl Clip {
             ClipEnd::Shutdown => PATIENCE_AT_THE_END,
             _ => Duration::MAX,
         };
-        let measured = self.energy.finish(self.end, patience).await;
-        measured.unwrap_or_default()
+        self.energy.finish(self.end, patience).await.unwrap_or_default()
     }
 
     /// Creates the report, except for the names that the reporter adds. Sorts the latencies, which takes milliseconds

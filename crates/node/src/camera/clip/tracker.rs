@@ -253,7 +253,8 @@ impl ClipTracker {
         let longest_gap = self.silence.min(self.limit(is_window));
         let mut start = arrival;
         let mut part = 0;
-        if let Some(before) = self.interrupted.take()
+        let interrupted = self.interrupted.take();
+        if let Some(before) = interrupted
             && before.named.as_deref() == clip
             && arrival.saturating_duration_since(before.end) < longest_gap
         {

@@ -324,8 +324,10 @@ mod tests {
         );
         assert_eq!(travel.track.len(), MOST_TRACK_POINTS);
         let [west, south, east, north] = travel.bounds;
-        assert!(west < BERLIN.longitude && BERLIN.longitude < east);
-        assert!(south < BERLIN.latitude && BERLIN.latitude < north);
+        assert!(west < BERLIN.longitude);
+        assert!(BERLIN.longitude < east);
+        assert!(south < BERLIN.latitude);
+        assert!(BERLIN.latitude < north);
     }
 
     #[test]
@@ -344,6 +346,7 @@ mod tests {
         let travel = drive((-20..=20).map(point));
         assert!((700.0..800.0).contains(&travel.distance_m), "{travel:?}");
         let [west, _, east, _] = travel.bounds;
-        assert!(west > 179.0 && east < -179.0, "{travel:?}");
+        assert!(west > 179.0, "{travel:?}");
+        assert!(east < -179.0, "{travel:?}");
     }
 }

@@ -110,7 +110,8 @@ impl Bench {
             }
         }
         let now = self.now();
-        self.refused.extend(self.node.take(question, &reply, now));
+        let refused = self.node.take(question, &reply, now);
+        self.refused.extend(refused);
     }
 
     fn run(steps: &[Step]) {

@@ -162,7 +162,8 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         if self.now_ms < self.cut_until_ms || self.unlucky(60) {
             return;
         }
-        for _ in 0..=u8::from(self.unlucky(60)) {
+        let copies = if self.unlucky(60) { 2 } else { 1 };
+        for _ in 0..copies {
             let most = if self.unlucky(60) { HOUR } else { 2 * SECOND };
             self.sometime(10, most, event.clone());
         }

@@ -302,7 +302,8 @@ impl World {
         if self.nodes[at].is_on() {
             self.time.note(&format!("power of node {at} goes"));
             self.note_counts(at);
-            self.excused.extend(self.nodes[at].crash());
+            let lost = self.nodes[at].crash();
+            self.excused.extend(lost);
             self.time.sometime(SECOND, HOUR / 6, Event::NodeOn(at));
         }
     }
@@ -361,7 +362,8 @@ impl World {
     /// Flips a bit while the node is off. The damaged reports may be lost, and the node must count them.
     fn flip(&mut self, at: usize) {
         let mut kept = self.nodes[at].kept();
-        kept.extend(self.nodes[at].crash());
+        let in_memory = self.nodes[at].crash();
+        kept.extend(in_memory);
         let random = self.time.random();
         self.nodes[at].flip(random);
         self.is_rewound = true;
@@ -377,7 +379,8 @@ impl World {
             return;
         };
         let mut lost = node.kept();
-        lost.extend(node.crash());
+        let in_memory = node.crash();
+        lost.extend(in_memory);
         put(&node.file(), &state);
         self.is_rewound = true;
         // What the node counted as lost since that state is counted no more.

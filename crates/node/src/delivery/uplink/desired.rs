@@ -135,14 +135,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let node = Node::start(folder.path());
         assert!(node.take(3, half));
-        assert_eq!((node.target(), node.known().in_force), (HALF, 3));
+        assert_eq!(node.target(), HALF);
+        assert_eq!(node.known().in_force, 3);
         // An older value, and the same target again, change nothing.
         assert!(!node.take(2, value));
         assert!(!node.take(3, half));
         assert_eq!(node.target(), HALF);
         drop(node);
         let node = Node::start(folder.path());
-        assert_eq!((node.target(), node.known().revision()), (HALF, 3));
+        assert_eq!(node.target(), HALF);
+        assert_eq!(node.known().revision(), 3);
         // A threshold turned at the node ends it, until the hub desires something new.
         node.0.settings.set_by_hand(&node.0.board.cameras[1..], 0.01).unwrap();
         assert!(!node.take(3, half));
@@ -158,7 +160,8 @@ mod tests {
         assert!(node.take(6, senseless));
         let known = node.known();
         let refused = known.refused.unwrap();
-        assert_eq!((refused.revision, known.in_force), (6, 5));
+        assert_eq!(refused.revision, 6);
+        assert_eq!(known.in_force, 5);
         let said = "`skip_rate` must be";
         assert!(refused.reason.contains(said), "{refused:?}");
         assert_eq!(node.target(), None);
@@ -168,7 +171,8 @@ mod tests {
         assert!(node.take(8, DesiredSetting::Target(None)));
         let known = node.known();
         assert_eq!(node.target(), None);
-        assert_eq!((known.in_force, known.refused), (8, None));
+        assert_eq!(known.in_force, 8);
+        assert_eq!(known.refused, None);
         let values = thresholds(&node.0.board);
         let is_kept = |u: &f64| (1.5e-4..=0.07).contains(u);
         assert!(values.iter().all(is_kept), "{values:?}");

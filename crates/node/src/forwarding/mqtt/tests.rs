@@ -250,12 +250,8 @@ async fn a_wrong_password_is_said_in_words_and_a_corrected_one_is_taken() {
         .output()
         .await;
     assert!(made.expect("mosquitto_passwd is installed").status.success());
-    broker
-        .start(&format!(
-            "allow_anonymous false\npassword_file {}",
-            users.display()
-        ))
-        .await;
+    let settings = format!("allow_anonymous false\npassword_file {}", users.display());
+    broker.start(&settings).await;
     let password = folder.join("password");
     std::fs::write(&password, "wrong-one\n").unwrap();
     let section = format!("user = \"ann\"\npassword_file = \"{}\"", password.display());
@@ -287,10 +283,8 @@ async fn a_broker_with_an_unknown_certificate_is_refused_and_one_with_a_known_on
     let other = tempfile::tempdir().unwrap();
     certificate(other.path());
     let authority = other.path().join("cert.pem");
-    let client = Client::start(
-        &broker,
-        &format!("root_ca_certificate = \"{}\"", authority.display()),
-    );
+    let section = format!("root_ca_certificate = \"{}\"", authority.display());
+    let client = Client::start(&broker, &section);
     client
         .until_fault("TLS failed: its certificate is signed by an authority that is not known here")
         .await;

@@ -70,7 +70,8 @@ async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() 
     }
     assert_eq!(waiting(&receiver.ring), [(3, 1)]);
     let (dropped, _) = receiver.counter.counts();
-    assert_eq!((dropped.overrun, dropped.total()), (3, 3));
+    assert_eq!(dropped.overrun, 3);
+    assert_eq!(dropped.total(), 3);
 }
 
 #[tokio::test]
@@ -81,7 +82,8 @@ async fn a_frame_with_an_unreadable_number_is_counted_once() {
     receiver.give(7, None);
     assert_eq!(waiting(&receiver.ring).len(), 2);
     let (dropped, _) = receiver.counter.counts();
-    assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
+    assert_eq!(dropped.undecodable, 1);
+    assert_eq!(dropped.lost, 0);
 }
 
 #[tokio::test]
@@ -92,7 +94,11 @@ async fn two_receiving_threads_cannot_swap_frames() {
     thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| {
-                while let seq @ ..FRAMES = numbers.fetch_add(1, Ordering::Relaxed) {
+                loop {
+                    let seq = numbers.fetch_add(1, Ordering::Relaxed);
+                    if seq >= FRAMES {
+                        break;
+                    }
                     receiver.give(seq, None);
                 }
             });

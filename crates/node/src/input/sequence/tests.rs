@@ -57,12 +57,15 @@ fn restarted(index: u64) -> Arrival {
 
 /// Frames that are not new, and numbers counted as lost.
 fn losses(arrivals: &[Arrival]) -> (usize, u64) {
-    let lost = arrivals.iter().map(|arrival| match arrival {
-        Arrival::New { lost, .. } => Some(*lost),
-        _ => None,
-    });
-    let dropped = lost.clone().filter(Option::is_none).count();
-    (dropped, lost.flatten().sum())
+    let mut dropped = 0;
+    let mut lost = 0;
+    for arrival in arrivals {
+        match arrival {
+            Arrival::New { lost: missing, .. } => lost += *missing,
+            _ => dropped += 1,
+        }
+    }
+    (dropped, lost)
 }
 
 #[test]
@@ -309,19 +312,17 @@ fn numberings() -> impl Strategy<Value = Vec<u64>> {
         (33_u64..200, 0_u64..12),
         (33_333_333_u64..40_000_000, 0_u64..5_000_000),
     ];
-    (
-        steps,
-        0..1_u64 << 40,
-        prop::collection::vec(any::<u64>(), 60..200),
-    )
-        .prop_map(|((step, jitter), start, noise)| {
-            let mut number = start;
-            let next = noise.into_iter().map(|noise| {
-                number += step + noise % (jitter + 1);
-                number
-            });
-            next.collect()
-        })
+    let start = 0..1_u64 << 40;
+    let noise = prop::collection::vec(any::<u64>(), 60..200);
+    (steps, start, noise).prop_map(|((step, jitter), start, noise)| {
+        let mut number = start;
+        let mut numbers = Vec::with_capacity(noise.len());
+        for noise in noise {
+            number += step + noise % (jitter + 1);
+            numbers.push(number);
+        }
+        numbers
+    })
 }
 
 proptest! {
@@ -371,10 +372,8 @@ fn a_camera_that_changes_its_step_loses_one_frame_at_most() {
     assert_eq!(losses(&every), (0, 0), "from tens to ones");
     let tens = camera.send((61..100).map(|number| number * 10), None);
     let (dropped, lost) = losses(&tens);
-    assert!(
-        dropped <= 1 && lost <= 10,
-        "back to tens: {dropped}, {lost}"
-    );
+    assert!(dropped <= 1, "back to tens: {dropped}");
+    assert!(lost <= 10, "back to tens: {lost}");
 }
 
 #[test]

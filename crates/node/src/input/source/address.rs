@@ -170,6 +170,12 @@ impl SourceAddress {
                 "needs environment variables that are not set: `{names}`"
             ));
         }
+        if matches!(kind, SourceKind::File | SourceKind::Files) {
+            // ffmpeg knows the scheme in lower case only, and GStreamer not at all.
+            for word in &mut words {
+                *word = without_scheme(word).to_owned();
+            }
+        }
         words.iter().try_for_each(|word| no_control(word))?;
         for word in &words {
             secrets.add_login(login(word));
@@ -258,8 +264,11 @@ fn file_or_files(path: &str) -> SourceKind {
 }
 
 /// A file's path, also of an address that begins with `file://`.
-pub(super) fn without_scheme(path: &str) -> &str {
-    path.trim_start_matches("file://")
+fn without_scheme(path: &str) -> &str {
+    match path.split_once("://") {
+        Some((scheme, path)) if scheme.eq_ignore_ascii_case("file") => path,
+        _ => path,
+    }
 }
 
 /// True for a device, also under another name: `/dev/v4l/by-id/…`, or a link to it from anywhere.
@@ -367,6 +376,15 @@ mod tests {
         assert_eq!(kind("drive 1.mp4"), SourceKind::File);
         assert_eq!(kind("file:///a.mp4"), SourceKind::File);
         assert_eq!(kind("v4l2src ! jpegenc"), SourceKind::Pipeline);
+    }
+
+    #[test]
+    fn a_file_is_its_path_with_a_scheme_in_any_case_and_without() {
+        for text in ["/a/1.mp4", "file:///a/1.mp4", "FILE:///a/1.mp4"] {
+            let resolved = resolve(text).unwrap();
+            assert_eq!(resolved.kind, SourceKind::File);
+            assert_eq!(resolved.text(), "/a/1.mp4");
+        }
     }
 
     #[test]

@@ -110,14 +110,8 @@ impl<'a> CommandLine<'a> {
     /// How ffmpeg itself behaves, and how it decodes.
     fn add_program(&mut self, largest_block: u64, live: bool) {
         // Verbose: it says how far a connection has come.
-        self.add(&[
-            "-hide_banner",
-            "-nostats",
-            "-v",
-            "repeat+level+verbose",
-            "-max_alloc",
-        ]);
-        self.add(&[&largest_block.to_string()]);
+        self.add(&["-hide_banner", "-nostats", "-v", "repeat+level+verbose"]);
+        self.add(&["-max_alloc", &largest_block.to_string()]);
         let settings = self.settings;
         // Pictures that are passed on are not decoded.
         if !self.way.is_untouched()

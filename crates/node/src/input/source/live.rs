@@ -2,7 +2,7 @@
 
 mod reading;
 
-use super::address::{SourceKind, without_scheme};
+use super::address::SourceKind;
 use super::ffmpeg::{FFMPEG, Version, Way, ffmpeg, version};
 use super::files::{Playlist, Recorded};
 use super::gstreamer::{GSTREAMER, gstreamer};
@@ -130,7 +130,7 @@ impl LiveSource {
         settings.silence = settings.silence.min(LONGEST_SILENCE);
         let name = settings.address.to_string();
         let resolved = settings.address.resolved()?;
-        let path = without_scheme(resolved.text());
+        let path = resolved.text();
         if resolved.kind == SourceKind::File && !Path::new(path).exists() {
             return Err(format!("{name}: no such file"));
         }

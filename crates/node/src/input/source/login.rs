@@ -25,16 +25,18 @@ fn head(address: &str) -> io::Result<String> {
     let place = after_login(address);
     let (authority, path) = place.split_at(place.find(['/', '?']).unwrap_or(place.len()));
     let (usual_port, request) = match scheme.to_ascii_lowercase().as_str() {
-        "rtsp" => (
-            554,
-            format!(
+        "rtsp" => {
+            let request = format!(
                 "DESCRIBE rtsp://{place} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n\r\n"
-            ),
-        ),
+            );
+            (554, request)
+        }
         "http" => {
             let root = if path.starts_with('/') { "" } else { "/" };
-            let host = format!("Host: {authority}\r\nConnection: close");
-            (80, format!("GET {root}{path} HTTP/1.1\r\n{host}\r\n\r\n"))
+            let request = format!(
+                "GET {root}{path} HTTP/1.1\r\nHost: {authority}\r\nConnection: close\r\n\r\n"
+            );
+            (80, request)
         }
         _ => return Err(invalid()),
     };
@@ -81,7 +83,10 @@ fn unknown(head: &str) -> Option<String> {
     })?;
     let is_plain = |c: &char| c.is_ascii_alphanumeric() || *c == '-';
     let algorithm: String = algorithm.chars().filter(is_plain).take(20).collect();
-    (!KNOWN.contains(&&*algorithm)).then_some(algorithm)
+    if KNOWN.contains(&algorithm.as_str()) {
+        return None;
+    }
+    Some(algorithm)
 }
 
 #[cfg(test)]

@@ -473,10 +473,9 @@ mod tests {
         let expected = [false, false, true, true, false, false, true, true, false];
         assert_eq!(broken, expected);
         let arrived = messages.arrivals.now();
-        assert_eq!(
-            (arrived.frames, arrived.broken, arrived.complaints),
-            (10, 4, 2)
-        );
+        assert_eq!(arrived.frames, 10);
+        assert_eq!(arrived.broken, 4);
+        assert_eq!(arrived.complaints, 2);
     }
 
     #[test]

@@ -24,13 +24,14 @@ impl SourceOptions {
     pub(super) fn pairs(&self) -> Vec<(&str, Option<&str>)> {
         let mut pairs: Vec<(&str, Option<&str>)> = Vec::new();
         for word in &self.0 {
-            match (word.strip_prefix('-'), pairs.last_mut()) {
-                // A value may be a negative number.
-                (Some(name), _) if !name.starts_with(|c: char| c.is_ascii_digit()) => {
-                    pairs.push((name, None));
-                }
-                (_, Some((_, value @ None))) => *value = Some(word),
-                _ => pairs.push((word, None)),
+            // A value may be a negative number.
+            let is_name = |rest: &&str| !rest.starts_with(|c: char| c.is_ascii_digit());
+            if let Some(name) = word.strip_prefix('-').filter(is_name) {
+                pairs.push((name, None));
+            } else if let Some((_, value @ None)) = pairs.last_mut() {
+                *value = Some(word);
+            } else {
+                pairs.push((word, None));
             }
         }
         pairs

@@ -81,8 +81,7 @@ impl PictureProgram {
             Some(_) => Stdio::piped(),
             None => Stdio::null(),
         };
-        let mut command = Command::new(self.program);
-        command
+        let mut child = Command::new(self.program)
             .args(&self.arguments)
             .env_clear()
             .envs(environment())
@@ -90,8 +89,8 @@ impl PictureProgram {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // Ctrl-C in a terminal is for the owner, which ends the program.
-            .process_group(0);
-        let mut child = command.spawn()?;
+            .process_group(0)
+            .spawn()?;
         let process = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
         let output = child.stdout.take();
         let (Some(process), Some(output)) = (process, output) else {
@@ -201,13 +200,12 @@ impl RunningProgram {
         let Self {
             child, messages, ..
         } = self;
-        let ended = async {
-            tokio::join!(child.wait(), async {
-                while messages.is_open() {
-                    messages.listen().await;
-                }
-            })
+        let has_said_all = async {
+            while messages.is_open() {
+                messages.listen().await;
+            }
         };
+        let ended = async { tokio::join!(child.wait(), has_said_all) };
         let _ = self.runtime.block_on(async { timeout(END_LIMIT, ended).await });
         self.child.try_wait().ok().flatten()
     }
@@ -277,9 +275,13 @@ impl Drop for RunningProgram {
 /// # Errors
 /// An I/O error if it exists but cannot be started.
 pub(super) fn output_of(program: &'static str, argument: &str) -> Result<Option<String>, String> {
-    let mut command = std::process::Command::new(program);
-    command.env_clear().envs(environment());
-    match command.arg(argument).stdin(Stdio::null()).output() {
+    let ended = std::process::Command::new(program)
+        .env_clear()
+        .envs(environment())
+        .arg(argument)
+        .stdin(Stdio::null())
+        .output();
+    match ended {
         Ok(output) => Ok(Some(String::from_utf8_lossy(&output.stdout).into_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(format!("`{program}` cannot be started: {error}")),

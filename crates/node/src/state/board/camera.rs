@@ -148,7 +148,9 @@ impl CameraSnapshot {
                 .find(|((class, known), _)| **class == *one.class && *known == source);
             match known {
                 Some((_, count)) => *count += 1,
-                None => drop(self.boxes.insert((one.class.as_str().into(), source), 1)),
+                None => {
+                    self.boxes.insert((one.class.as_str().into(), source), 1);
+                }
             }
         }
     }

@@ -54,9 +54,12 @@ impl Flow {
         if rate >= usual / 2.0 {
             self.low_since = None;
             self.usual = Some(usual + (rate - usual) / SLOWNESS);
-        } else if at - *self.low_since.get_or_insert(at) >= GETS_USED_TO {
-            self.low_since = None;
-            self.usual = Some(rate);
+        } else {
+            let low_since = *self.low_since.get_or_insert(at);
+            if at - low_since >= GETS_USED_TO {
+                self.low_since = None;
+                self.usual = Some(rate);
+            }
         }
     }
 

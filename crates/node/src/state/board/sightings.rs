@@ -117,12 +117,13 @@ impl ClassWatch {
             let Some(event) = watched.frame(frame, is_seen, self.appear, self.leave) else {
                 continue;
             };
-            let (since_ns, stayed) = match event {
-                SightingEvent::Appeared => (watched.first.t_ns, None),
-                SightingEvent::Left => {
-                    let stayed = watched.last.at - watched.first.at;
-                    (watched.last.t_ns, Some(seconds(stayed)))
-                }
+            let since_ns = match event {
+                SightingEvent::Appeared => watched.first.t_ns,
+                SightingEvent::Left => watched.last.t_ns,
+            };
+            let stayed = match event {
+                SightingEvent::Appeared => None,
+                SightingEvent::Left => Some(seconds(watched.last.at - watched.first.at)),
             };
             turns.push(Turn {
                 class: watched.class.clone(),
@@ -155,20 +156,18 @@ impl WatchedClass {
             return None;
         }
         let since = *self.turning.get_or_insert(frame);
-        let (limit, event) = if is_seen {
-            (appear, SightingEvent::Appeared)
-        } else {
-            (leave, SightingEvent::Left)
-        };
+        let limit = if is_seen { appear } else { leave };
         if frame.at - since.at < limit {
             return None;
         }
-        if is_seen {
-            self.first = since;
-        }
         self.is_there = is_seen;
         self.turning = None;
-        Some(event)
+        if is_seen {
+            self.first = since;
+            Some(SightingEvent::Appeared)
+        } else {
+            Some(SightingEvent::Left)
+        }
     }
 }
 

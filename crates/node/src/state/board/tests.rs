@@ -15,6 +15,16 @@ fn a_camera_has_its_own_threshold_or_that_of_the_policy() {
 }
 
 #[test]
+fn only_a_second_place_of_one_name_has_a_number() {
+    let board = prepared(&config(None, "albireo")).board;
+    let name = |place: &str| board.forward_to(place.to_owned()).to.clone();
+    assert_eq!(name("mqtt://h:18830"), "mqtt://h:18830");
+    assert_eq!(name("mqtt://h:1883"), "mqtt://h:1883");
+    assert_eq!(name("mqtt://h:1883"), "mqtt://h:1883 (2)");
+    assert_eq!(name("mqtt://h:1883"), "mqtt://h:1883 (3)");
+}
+
+#[test]
 fn an_event_is_written_as_json_once_however_many_read_it() {
     let board = prepared(&config(None, "albireo")).board;
     let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();

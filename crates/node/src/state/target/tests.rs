@@ -55,8 +55,8 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     assert_eq!(report.target, HALF);
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
-    let moved = (state.status, state.threshold);
-    assert_eq!(moved, (TargetStatus::Moving, after));
+    assert_eq!(state.status, TargetStatus::Moving);
+    assert_eq!(state.threshold, after);
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
 }
 
@@ -67,7 +67,8 @@ fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     pass(&node.board, 10);
     node.settings.set_by_hand(&node.board.cameras[1..], 7e-4).unwrap();
     let report = node.board.target.report();
-    assert_eq!((report.target, report.state), (None, None));
+    assert_eq!(report.target, None);
+    assert_eq!(report.state, None);
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&node.board, 10);
     assert_eq!(node.board.cameras[1].threshold(), Some(7e-4));
@@ -222,7 +223,9 @@ fn a_target_is_held_under_another_policy_from_its_own_threshold_within_its_own_r
     switch("expected-loss");
     let report = node.board.target.report();
     let range = report.range.unwrap();
-    assert_eq!((report.target, range.least, range.most), (HALF, 0.05, 1.2));
+    assert_eq!(report.target, HALF);
+    assert_eq!(range.least, 0.05);
+    assert_eq!(range.most, 1.2);
     assert_eq!(report.threshold, Some(Threshold::new("lambda", 0.3)));
     assert!(pass(&node.board, 10) > 0.3);
     switch("albireo");

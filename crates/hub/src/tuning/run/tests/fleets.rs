@@ -172,13 +172,14 @@ fn run(study: &Study<'_>) -> Ends {
     };
     let mut ends = Ends::default();
     for seed in 0..rollouts {
-        let candidates = (0..nodes).map(|node| Member::new(node.to_string(), old(), true));
+        let candidates =
+            (0..nodes).map(|node| Member::new(node.to_string(), old(), true)).collect();
         let kind = Kind::Rollout {
             to: new(),
             plan: plan.clone(),
         };
         let start = 1_000 * HOUR;
-        let mut rollout = Run::begin(kind, candidates.collect(), seed, "ops", start).unwrap();
+        let mut rollout = Run::begin(kind, candidates, seed, "ops", start).unwrap();
         let mut fleet = Fleet {
             seed: seed.wrapping_mul(1_000_003) ^ nodes as u64,
             change,

@@ -1,4 +1,4 @@
-use super::super::super::metric::{Figure, Mean};
+use super::super::super::metric::{BeforeAfter, Figure, Mean};
 use super::super::super::plan::TrialPlan;
 use super::super::*;
 use super::{SECOND, World, in_windows, new, old};
@@ -110,6 +110,14 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
     assert_eq!(sum(|v| v.applied), 30);
     assert_eq!(sum(|v| v.silent), 1);
     assert_eq!(sum(|v| joules(v).nodes), 28);
+    // Nor do its four clips count.
+    let mut compared = measured;
+    compared.remove("cam-001");
+    let of_joules =
+        |node: &BeforeAfter| node.after.get(&Figure::JoulesMeasured).map(|mean| mean.clips);
+    let clips: u64 = compared.values().filter_map(of_joules).sum();
+    let counted: u64 = result.values.iter().map(|v| joules(v).clips).sum();
+    assert_eq!(counted, clips);
 }
 
 #[test]

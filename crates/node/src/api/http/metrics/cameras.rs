@@ -99,8 +99,12 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
         "Frames for which the detector was called, by cause, whether or not it was available",
         cameras.iter().flat_map(|camera| {
             // A cause that the policy never has would stay a row of zeros.
-            let some = camera.snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
-            some.map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
+            camera
+                .snapshot
+                .calls
+                .by_cause()
+                .filter(|(_, count)| *count > 0)
+                .map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
         }),
     );
     page.counters(
@@ -156,11 +160,14 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "albireo_camera_state",
         "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen, unusable), 0 for the others",
         cameras.iter().flat_map(|camera| {
-            let now = match camera.snapshot.last_frame_age() {
-                _ if camera.snapshot.unusable().is_some() => "unusable",
-                None => "never_seen",
-                Some(_) if silent(camera.board.name()) => "stale",
-                Some(_) => "live",
+            let now = if camera.snapshot.unusable().is_some() {
+                "unusable"
+            } else if camera.snapshot.last_frame_age().is_none() {
+                "never_seen"
+            } else if silent(camera.board.name()) {
+                "stale"
+            } else {
+                "live"
             };
             ["live", "stale", "never_seen", "unusable"]
                 .map(|state| ([camera.label, ("state", state)], flag(state == now)))
@@ -170,10 +177,8 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "albireo_last_frame_age_seconds",
         "Time since the newest frame",
         cameras.iter().filter_map(|camera| {
-            Some((
-                [camera.label],
-                camera.snapshot.last_frame_age()?.as_secs_f64(),
-            ))
+            let age = camera.snapshot.last_frame_age()?;
+            Some(([camera.label], age.as_secs_f64()))
         }),
     );
     page.gauges(
@@ -212,10 +217,8 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "albireo_threshold",
         "Threshold in force, under the policy's name for it",
         cameras.iter().filter_map(|camera| {
-            Some((
-                [camera.label, ("name", camera.board.threshold_spec()?.name)],
-                camera.board.threshold()?,
-            ))
+            let name = camera.board.threshold_spec()?.name;
+            Some(([camera.label, ("name", name)], camera.board.threshold()?))
         }),
     );
     page.gauges(
@@ -265,8 +268,9 @@ fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
         })
     };
     let under_policy = || {
-        let on = cameras.iter();
-        on.filter_map(|camera| Some((camera.label, camera.snapshot.policy_audit.as_ref()?)))
+        cameras
+            .iter()
+            .filter_map(|camera| Some((camera.label, camera.snapshot.policy_audit.as_ref()?)))
     };
     page.gauges(
         "albireo_audit_recall",

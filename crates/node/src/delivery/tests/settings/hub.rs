@@ -80,8 +80,9 @@ impl Hub {
                 Arc::clone(&desired),
                 TuningConfig::default(),
                 "hub".to_owned(),
-            );
-            Ok::<_, albireo_hub::store::StoreError>((store, tuner.await?))
+            )
+            .await?;
+            Ok::<_, albireo_hub::store::StoreError>((store, tuner))
         };
         let Ok((store, tuner)) = self.runtime.block_on(opened) else {
             return false;

@@ -124,8 +124,10 @@ impl Node {
     ) -> Option<Taken> {
         let node = self.started.as_mut()?;
         node.asked.take_if(|asked| *asked == question)?;
-        let answer = answer.ok_or(Failure::Unanswered);
-        let desired = answer.and_then(|answer| read_reply::<Desired>(Ok(answer)));
+        let desired = match answer {
+            Some(answer) => read_reply::<Desired>(Ok(answer)),
+            None => Err(Failure::Unanswered),
+        };
         node.schedule.pull_ended(&desired, now.at);
         let desired = desired.ok()?;
         node.statuses.follow(&desired);

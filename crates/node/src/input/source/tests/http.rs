@@ -33,7 +33,11 @@ fn serve(
                 let mut client = client?;
                 let mut head = String::new();
                 let mut request = BufReader::new(client.try_clone()?);
-                while !head.ends_with("\r\n\r\n") && request.read_line(&mut head)? > 0 {}
+                while !head.ends_with("\r\n\r\n") {
+                    if request.read_line(&mut head)? == 0 {
+                        break;
+                    }
+                }
                 let path = head.split(' ').nth(1).unwrap_or_default();
                 answer(path, &mut client)
             });
@@ -110,11 +114,11 @@ async fn an_address_of_one_picture_is_fetched_at_the_rate_asked_for() {
         )?;
         client.write_all(&picture)
     });
-    let mut source = Open::new(CameraConfig {
+    let config = CameraConfig {
         max_rate: Some(2.0),
         ..camera(&format!("{server}/snap.jpg"))
-    })
-    .await;
+    };
+    let mut source = Open::new(config).await;
     let taken = source.rates(Duration::from_secs(10)).await.taken;
     println!("{taken:.2} pictures per second");
     // A busy machine fetches fewer.
@@ -145,12 +149,14 @@ async fn recordings_and_segments_on_a_server_are_played_at_their_own_pace() {
         &["-movflags", "faststart", "drive.mp4"][..],
         &["-hls_time", "2", "-hls_list_size", "0", "live.m3u8"],
     ] {
-        let mut command = Command::new("ffmpeg");
-        command.args([
-            "-v", "error", "-f", "lavfi", "-i", film, "-c:v", "libx264", "-g", "30",
-        ]);
-        let status = command.args(output).current_dir(folder.path()).status();
-        assert!(status.unwrap().success(), "{output:?}");
+        let status = Command::new("ffmpeg")
+            .args(["-v", "error", "-f", "lavfi", "-i", film])
+            .args(["-c:v", "libx264", "-g", "30"])
+            .args(output)
+            .current_dir(folder.path())
+            .status()
+            .unwrap();
+        assert!(status.success(), "{output:?}");
     }
     let server = serve_folder(folder.path());
     for file in ["drive.mp4", "live.m3u8"] {

@@ -87,9 +87,11 @@ fn at(seconds: u64) -> Clock {
 fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     let mut history = History::default();
     let capacities = |history: &History| {
-        let frames = history.frames.capacity();
-        let slots = history.hour.ended.capacity();
-        (frames, slots, history.times.capacity())
+        [
+            history.frames.capacity(),
+            history.hour.ended.capacity(),
+            history.times.capacity(),
+        ]
     };
     let before = capacities(&history);
     let outcome = Outcome {
@@ -99,7 +101,8 @@ fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     };
     // Two hours at two frames per second, and a burst with more latencies than a piece can hold.
     let times = (0..14_400).map(|half_second| 500 * half_second);
-    for (seq, at) in (0..).zip(times.chain(std::iter::repeat_n(7_200_000, 4000))) {
+    let burst = std::iter::repeat_n(7_200_000, 4000);
+    for (seq, at) in (0..).zip(times.chain(burst)) {
         history.add(&message(seq, &outcome, 1.0), Duration::from_millis(at));
     }
     assert_eq!(capacities(&history), before);
@@ -110,7 +113,9 @@ fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     let first = &shown[0];
     let last = shown.last().unwrap();
     assert_eq!(first.at_ms, 3_600_000);
-    assert_eq!((first.frames, first.calls, first.skipped), (20, 20, 0));
+    assert_eq!(first.frames, 20);
+    assert_eq!(first.calls, 20);
+    assert_eq!(first.skipped, 0);
     assert_eq!(last.frames, 4000);
     // The percentiles of a piece cover that piece alone.
     assert!(first.detector_p50_ms < first.detector_p99_ms);
@@ -164,7 +169,8 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
         let apart = really.abs_diff(same) as f64 / past.len() as f64;
         assert!(apart < 0.01, "at the value itself: {really} and {same}");
     }
-    assert!(near < 0.15 && worst < 0.2, "{near} and {worst}");
+    assert!(near < 0.15, "{near}");
+    assert!(worst < 0.2, "{worst}");
     assert!(worst < naive_worst / 2.0, "{worst} and {naive_worst}");
     assert!(SkipEstimate::of(&[], longest, &values).is_none());
 }

@@ -48,19 +48,20 @@ impl Detector {
 
 /// Detections at a time: objects that pass one by one, sometimes two at once, with pauses in between.
 fn scene(camera: usize, seconds: f64) -> Vec<Detection> {
-    let passing = (0..40).filter_map(|object| {
+    let mut passing = Vec::new();
+    for object in 0..40 {
         let since = seconds - f64::from(object) * 4.5 - camera as f64 * 1.7;
         let lasts = 2.0 + f64::from(object * 7 % 5) * 1.4;
-        (0.0..lasts).contains(&since).then(|| {
+        if (0.0..lasts).contains(&since) {
             let wobble = 0.01 * (since * 5.0 + f64::from(object)).sin();
-            Detection {
+            passing.push(Detection {
                 bounding_box: BoundingBox::new(0.1 + 0.09 * since + wobble, 0.5, 0.1, 0.15),
                 class: ClassId(2),
                 confidence: 0.8,
-            }
-        })
-    });
-    passing.collect()
+            });
+        }
+    }
+    passing
 }
 
 /// A camera's loop over the clip: it answers the newest frame, then takes the next.
