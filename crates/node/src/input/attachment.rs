@@ -20,8 +20,9 @@ pub(super) fn read_attachment(
     };
     match format {
         PayloadFormat::Encoding => read_json(bytes),
+        // JSON of 32 bytes could be read as rmw_zenoh's numbers, which are never JSON.
         PayloadFormat::Ros2 => {
-            Ok(read_rmw_zenoh(bytes).or_else(|| read_json(bytes).ok()).unwrap_or_default())
+            Ok(read_json(bytes).ok().or_else(|| read_rmw_zenoh(bytes)).unwrap_or_default())
         }
     }
 }
@@ -129,9 +130,18 @@ mod tests {
             let attachment = read_attachment(Some(bytes), PayloadFormat::Ros2);
             assert_eq!(attachment.unwrap(), FrameAttachment::default());
         }
-        let json = br#"{"v":1,"seq":3}"#;
-        let attachment = read_attachment(Some(json), PayloadFormat::Ros2).unwrap();
-        assert_eq!(attachment.seq, Some(3));
+    }
+
+    #[test]
+    fn json_is_json_also_in_the_length_of_ros_numbers() {
+        for (json, seq) in [
+            (&br#"{"v":1,"seq":3}"#[..], 3),
+            (br#"{"v":1,"seq":4,"clip":"drive-1"}"#, 4),
+            (br#"{"v":1,"seq":41,"clip":"drive-1"}"#, 41),
+        ] {
+            let attachment = read_attachment(Some(json), PayloadFormat::Ros2).unwrap();
+            assert_eq!(attachment.seq, Some(seq), "{} bytes", json.len());
+        }
     }
 
     #[test]

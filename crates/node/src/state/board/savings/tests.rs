@@ -202,7 +202,7 @@ async fn the_estimate_is_within_a_tenth_of_the_extra_cost_of_vanilla() {
 
 #[tokio::test(start_paused = true)]
 async fn without_known_detector_watts_no_saving_is_reported() {
-    // The share of calls is constant.
+    // The detector's watts follow from how power changes with the share of calls, and here that share is constant.
     let run = run("fixed-skip", 1, 10.0).await;
     assert_eq!(estimated_saving(&run.power), None);
     assert!(run.reports[0].skip_rate > 0.4);
