@@ -10,8 +10,11 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
+/// A cell with the name of its column.
+type NamedCell = (&'static str, String);
+
 /// Returns the rows, each with column names and cells.
-pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<(&'static str, String)>> {
+pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<NamedCell>> {
     let baseline: HashMap<&str, &ClipResult> = results
         .iter()
         .filter(|result| result.policy == BASELINE)
@@ -26,32 +29,24 @@ fn cell(value: Option<impl ToString>) -> String {
 }
 
 /// Returns the column names and cells of a row.
-fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str, String)> {
-    type AccuracyFigure = fn(&Accuracy) -> f64;
-    let accuracy = result.accuracy;
-    let last = result.accuracy_last_confidence;
-    let all = result.accuracy_all;
-    // Only the published scoring has both definitions.
-    let decayed = last.and(accuracy);
-    let before = baseline.and_then(|baseline| baseline.accuracy);
-    let judged =
-        |accuracy: Option<Accuracy>, figure: AccuracyFigure| cell(accuracy.as_ref().map(figure));
-    let delta = |figure: AccuracyFigure| {
-        let both = accuracy.zip(before);
-        cell(both.map(|(own, before)| figure(&own) - figure(&before)))
-    };
-    let time = result.frame_time.map(|time| time.milliseconds);
-    let source = result.frame_time.map(|time| time.provenance.as_str());
-    let tracks = result.tracking;
-    let tracks_all = result.tracking_all;
-    let newcomers = result.newcomers;
-    let energy = result.energy;
+fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<NamedCell> {
+    let mut row = frame_cells(result);
+    row.extend(accuracy_cells(result));
+    row.extend(newcomer_cells(result));
+    row.extend(change_cells(result, baseline));
+    row.extend(cost_cells(result));
+    row
+}
+
+/// The clip, the policy, and what it did with the frames.
+fn frame_cells(result: &ClipResult) -> Vec<NamedCell> {
+    let truths = result.accuracy.map(|accuracy| accuracy.truths);
     let [e, p, ei, i, ai] = result.state_shares();
     vec![
         ("sequence", result.clip.clone()),
         ("camera", cell(result.camera.as_ref())),
         ("frames", result.frames.to_string()),
-        ("gt_boxes", cell(accuracy.map(|a| a.truths))),
+        ("gt_boxes", cell(truths)),
         ("policy", result.policy.clone()),
         ("skip_rate", result.skip_rate().to_string()),
         ("share_E", e.to_string()),
@@ -60,6 +55,23 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
         ("share_I", i.to_string()),
         ("share_AI", ai.to_string()),
         ("boxes", result.boxes.to_string()),
+    ]
+}
+
+type AccuracyFigure = fn(&Accuracy) -> f64;
+
+/// How right the boxes and tracks are.
+fn accuracy_cells(result: &ClipResult) -> Vec<NamedCell> {
+    let accuracy = result.accuracy;
+    let last = result.accuracy_last_confidence;
+    let all = result.accuracy_all;
+    // Only the published scoring has both definitions.
+    let decayed = last.and(accuracy);
+    let judged =
+        |accuracy: Option<Accuracy>, figure: AccuracyFigure| cell(accuracy.as_ref().map(figure));
+    let tracks = result.tracking;
+    let tracks_all = result.tracking_all;
+    vec![
         ("ap50_decayed", judged(decayed, |a| a.ap50)),
         ("map_decayed", judged(decayed, |a| a.map)),
         ("ap50_lastconf", judged(last, |a| a.ap50)),
@@ -78,26 +90,47 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
         ("f1_50_shown_all", judged(all, |a| a.f1_50_shown)),
         ("hota_all", cell(tracks_all.map(|tracks| tracks.hota))),
         ("idf1_all", cell(tracks_all.map(|tracks| tracks.idf1))),
+    ]
+}
+
+/// How late new objects are found.
+fn newcomer_cells(result: &ClipResult) -> Vec<NamedCell> {
+    let newcomers = result.newcomers;
+    let never_found = newcomers.map(|new| new.never_found);
+    let delay_frames = newcomers.map(|new| new.delay_frames);
+    vec![
         ("newcomers", cell(newcomers.map(|new| new.objects))),
-        (
-            "newcomers_never_found",
-            cell(newcomers.map(|new| new.never_found)),
-        ),
-        (
-            "newcomer_frames",
-            cell(newcomers.map(|new| new.delay_frames)),
-        ),
+        ("newcomers_never_found", cell(never_found)),
+        ("newcomer_frames", cell(delay_frames)),
         ("newcomer_ms", cell(result.newcomer_ms())),
+    ]
+}
+
+/// The change of accuracy against the baseline.
+fn change_cells(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<NamedCell> {
+    let before = baseline.and_then(|baseline| baseline.accuracy);
+    let delta = |figure: AccuracyFigure| {
+        let both = result.accuracy.zip(before);
+        cell(both.map(|(own, before)| figure(&own) - figure(&before)))
+    };
+    vec![
         ("delta_ap50", delta(|a| a.ap50)),
         ("delta_map", delta(|a| a.map)),
+    ]
+}
+
+/// What the frames cost.
+fn cost_cells(result: &ClipResult) -> Vec<NamedCell> {
+    let time = result.frame_time.map(|time| time.milliseconds);
+    let source = result.frame_time.map(|time| time.provenance.as_str());
+    let energy = result.energy;
+    let rejected = result.rejected_detections;
+    vec![
         ("detector_frames", result.detector_frames.to_string()),
         ("calls_a_second", cell(result.calls_a_second())),
         ("screen_frames", result.screen_frames.to_string()),
         ("degraded_frames", result.degraded_frames.to_string()),
-        (
-            "rejected_detections",
-            result.rejected_detections.to_string(),
-        ),
+        ("rejected_detections", rejected.to_string()),
         ("frame_time_ms_mean", cell(time.map(|t| t.mean))),
         ("frame_time_ms_p50", cell(time.map(|t| t.p50))),
         ("frame_time_ms_p95", cell(time.map(|t| t.p95))),

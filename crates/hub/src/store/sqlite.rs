@@ -31,10 +31,10 @@ pub(super) struct Sqlite {
 
 /// The file of a URL.
 pub(super) fn file(url: &str) -> &str {
-    let file = url.split('?').next().unwrap_or(url);
-    let file = file.strip_prefix("sqlite:").unwrap_or(file);
+    let (address, _parameters) = url.split_once('?').unwrap_or((url, ""));
+    let place = address.strip_prefix("sqlite:").unwrap_or(address);
     // Whatever follows is the path: with four slashes in a row it is absolute, as with three.
-    file.strip_prefix("//").unwrap_or(file)
+    place.strip_prefix("//").unwrap_or(place)
 }
 
 impl Sqlite {

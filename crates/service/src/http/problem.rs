@@ -138,7 +138,7 @@ pub(super) async fn translate(
     }
     let (mut parts, body) = response.into_parts();
     // The framework's texts are one line. A longer body is not one of them, and the status alone is told.
-    let text = to_bytes(body, 4096).await.unwrap_or_default();
+    let bytes = to_bytes(body, 4096).await.unwrap_or_default();
     let allowed: Vec<_> = parts
         .headers
         .get_all(ALLOW)
@@ -147,8 +147,8 @@ pub(super) async fn translate(
         .flat_map(|methods| methods.split(','))
         .map(str::trim)
         .collect();
-    let text = String::from_utf8_lossy(&text);
-    let text = text.trim();
+    let written = String::from_utf8_lossy(&bytes);
+    let text = written.trim();
     let detail = match status {
         StatusCode::PAYLOAD_TOO_LARGE => {
             format!("the body must have at most {BODY_LIMIT} bytes")
