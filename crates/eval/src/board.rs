@@ -31,7 +31,7 @@ use std::path::Path;
 /// # Errors
 /// [`EvalError`] with the first figure that cannot be drawn, or the first file that cannot be written.
 pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), EvalError> {
-    let summaries: Vec<_> = summary::summarise_all(setups);
+    let summaries = summary::summarise_all(setups);
     let figures = figures::figures(setups, &summaries).map_err(|error| {
         EvalError::content(folder, format!("a figure cannot be drawn: {error}"))
     })?;

@@ -43,16 +43,16 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Eval
     write(path, json)
 }
 
-/// Writes rows of named cells as CSV; the names in the first row are the header.
-pub(crate) fn write_csv(
-    path: &Path,
-    rows: &[Vec<(&'static str, String)>],
-) -> Result<(), EvalError> {
+/// A row of CSV: its cells, each with the name of its column.
+pub(crate) type CsvRow = Vec<(&'static str, String)>;
+
+/// Writes rows as CSV; the names in the first row are the header.
+pub(crate) fn write_csv(path: &Path, rows: &[CsvRow]) -> Result<(), EvalError> {
     let text = csv_of(rows).map_err(|error| EvalError::content(path, error))?;
     write(path, text)
 }
 
-fn csv_of(rows: &[Vec<(&'static str, String)>]) -> Result<Vec<u8>, Box<dyn Error>> {
+fn csv_of(rows: &[CsvRow]) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     if let Some(first) = rows.first() {
         writer.write_record(first.iter().map(|(name, _)| *name))?;

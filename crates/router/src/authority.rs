@@ -243,10 +243,8 @@ fn write_atomically(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
-    // Nobody else reads it while it is written.
-    let mut new = tempfile::Builder::new()
-        .permissions(Permissions::from_mode(PRIVATE))
-        .tempfile_in(folder)?;
+    // Only its owner may read it until it is written.
+    let mut new = tempfile::NamedTempFile::new_in(folder)?;
     new.write_all(text.as_bytes())?;
     // Other than at its creation, no umask takes anything away.
     new.as_file().set_permissions(Permissions::from_mode(mode))?;

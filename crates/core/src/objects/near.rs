@@ -42,8 +42,8 @@ impl NearBoxes {
         self.boxes.len() >= WORTH_WHILE
     }
 
-    /// Calls `visit` with the index and the corners of each box that overlaps `area`, and of some that do not, in the order in which they
-    /// were given.
+    /// Calls `visit` with the index and the corners of each box that overlaps `area`, and of some that do not, in the order
+    /// in which they were given.
     #[inline]
     pub(crate) fn visit(&self, area: Corners, mut visit: impl FnMut(u32, Corners)) {
         if !self.is_selective() {

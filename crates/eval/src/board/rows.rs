@@ -2,31 +2,27 @@
 
 use super::run::{ClipRun, Setup, SetupRuns};
 use super::summary::{PolicyFigures, SetupSummary};
+use crate::files::CsvRow;
 use crate::summary::Difference;
-
-type Cells = Vec<(&'static str, String)>;
 
 fn number(value: Option<f64>) -> String {
     value.map_or_else(String::new, |value| value.to_string())
 }
 
 /// Returns a row per run; a figure that does not exist is an empty cell, never a zero.
-pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
+pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<CsvRow> {
     let mut rows = Vec::new();
     for SetupRuns { setup, runs } in setups {
         let title = setup.title_among(setups);
-        for run in runs {
-            let mut row = vec![("setup", title.clone())];
-            row.extend(row_of_clip(setup, run));
-            rows.push(row);
-        }
+        rows.extend(runs.iter().map(|run| row_of_clip(&title, setup, run)));
     }
     rows
 }
 
-fn row_of_clip(setup: &Setup, run: &ClipRun) -> Cells {
+fn row_of_clip(title: &str, setup: &Setup, run: &ClipRun) -> CsvRow {
     let domain = |name: &str| number(run.domains.get(name).copied());
     vec![
+        ("setup", title.to_owned()),
         ("detector", setup.detector.clone()),
         ("precision", setup.precision.clone()),
         ("power_mode", setup.power_mode.clone()),
@@ -62,7 +58,7 @@ fn row_of_clip(setup: &Setup, run: &ClipRun) -> Cells {
 }
 
 /// Returns a row for each setting under which a setup was measured.
-pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<Cells> {
+pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<CsvRow> {
     let mut rows = Vec::new();
     for SetupRuns { setup, .. } in setups {
         let title = setup.title_among(setups);
@@ -78,7 +74,7 @@ pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<Cells> {
 }
 
 /// Returns a row for each entry of a power trace.
-pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
+pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<CsvRow> {
     let mut rows = Vec::new();
     for SetupRuns { setup, runs } in setups {
         let title = setup.title_among(setups);
@@ -101,7 +97,7 @@ pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
 }
 
 /// Returns a row per setup and policy.
-pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<Cells> {
+pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<CsvRow> {
     let mut rows = Vec::new();
     for summary in summaries {
         rows.extend(summary.policies.iter().map(|figures| row_of_policy(&summary.title, figures)));
@@ -109,7 +105,7 @@ pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<Cells> {
     rows
 }
 
-fn row_of_policy(setup: &str, figures: &PolicyFigures) -> Cells {
+fn row_of_policy(setup: &str, figures: &PolicyFigures) -> CsvRow {
     let change = figures.change.as_ref();
     let mean = |found: Option<Difference>| number(found.map(|found| found.mean));
     let p = |found: Option<Difference>| number(found.and_then(|found| found.p));

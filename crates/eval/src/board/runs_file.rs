@@ -234,15 +234,15 @@ pub fn files_of(named: &[PathBuf]) -> Result<Vec<PathBuf>, EvalError> {
 /// When the file cannot be read, is neither, or has no run.
 pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
     let mut bytes = std::fs::read(path).map_err(|error| EvalError::read(path, error, JOINED))?;
-    let is_published = !bytes.starts_with(b"{");
-    if !is_published {
+    let is_of_lines = bytes.starts_with(b"{");
+    if is_of_lines {
         bytes.truncate(whole_lines(&bytes));
     }
     let text = String::from_utf8(bytes).map_err(|error| EvalError::read(path, error, JOINED))?;
-    let found = if is_published {
-        Some(published::parse(path, &text)?)
-    } else {
+    let found = if is_of_lines {
         parse(path, &text)?
+    } else {
+        Some(published::parse(path, &text)?)
     };
     match found {
         Some(found) if !found.runs.is_empty() => Ok(found),

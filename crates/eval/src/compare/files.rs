@@ -4,7 +4,7 @@ use super::run::{Comparison, Run};
 use super::summary::{Figure, Summary};
 use super::verdict::verdicts;
 use crate::error::EvalError;
-use crate::files;
+use crate::files::{self, CsvRow};
 use albireo_wire::Percentiles;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub fn write(
 }
 
 /// Returns the column names and cells of a run; a figure that does not exist is an empty cell, never a zero.
-fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
+fn row(comparison: &Comparison, run: &Run) -> CsvRow {
     let report = &run.report;
     let energy = &report.energy;
     let total = energy.domains.iter().find(|domain| domain.domain == "total");

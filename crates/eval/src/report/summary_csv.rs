@@ -5,16 +5,14 @@
 //! and empty under profile `paper`, where the judged boxes are the published ones and `_all` is for all boxes of the
 //! policy. A figure that does not exist is an empty cell, never a zero.
 
+use crate::files::CsvRow;
 use crate::judge::Accuracy;
 use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
-/// A cell with the name of its column.
-type NamedCell = (&'static str, String);
-
 /// Returns the rows, each with column names and cells.
-pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<NamedCell>> {
+pub(super) fn rows(results: &[ClipResult]) -> Vec<CsvRow> {
     let baseline: HashMap<&str, &ClipResult> = results
         .iter()
         .filter(|result| result.policy == BASELINE)
@@ -29,7 +27,7 @@ fn cell(value: Option<impl ToString>) -> String {
 }
 
 /// Returns the column names and cells of a row.
-fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<NamedCell> {
+fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> CsvRow {
     let mut row = frame_cells(result);
     row.extend(accuracy_cells(result));
     row.extend(newcomer_cells(result));
@@ -39,7 +37,7 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<NamedCell> {
 }
 
 /// The clip, the policy, and what it did with the frames.
-fn frame_cells(result: &ClipResult) -> Vec<NamedCell> {
+fn frame_cells(result: &ClipResult) -> CsvRow {
     let truths = result.accuracy.map(|accuracy| accuracy.truths);
     let [e, p, ei, i, ai] = result.state_shares();
     vec![
@@ -61,7 +59,7 @@ fn frame_cells(result: &ClipResult) -> Vec<NamedCell> {
 type AccuracyFigure = fn(&Accuracy) -> f64;
 
 /// How right the boxes and tracks are.
-fn accuracy_cells(result: &ClipResult) -> Vec<NamedCell> {
+fn accuracy_cells(result: &ClipResult) -> CsvRow {
     let accuracy = result.accuracy;
     let last = result.accuracy_last_confidence;
     let all = result.accuracy_all;
@@ -94,7 +92,7 @@ fn accuracy_cells(result: &ClipResult) -> Vec<NamedCell> {
 }
 
 /// How late new objects are found.
-fn newcomer_cells(result: &ClipResult) -> Vec<NamedCell> {
+fn newcomer_cells(result: &ClipResult) -> CsvRow {
     let newcomers = result.newcomers;
     let never_found = newcomers.map(|new| new.never_found);
     let delay_frames = newcomers.map(|new| new.delay_frames);
@@ -107,7 +105,7 @@ fn newcomer_cells(result: &ClipResult) -> Vec<NamedCell> {
 }
 
 /// The change of accuracy against the baseline.
-fn change_cells(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<NamedCell> {
+fn change_cells(result: &ClipResult, baseline: Option<&ClipResult>) -> CsvRow {
     let before = baseline.and_then(|baseline| baseline.accuracy);
     let delta = |figure: AccuracyFigure| {
         let both = result.accuracy.zip(before);
@@ -120,7 +118,7 @@ fn change_cells(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<Named
 }
 
 /// What the frames cost.
-fn cost_cells(result: &ClipResult) -> Vec<NamedCell> {
+fn cost_cells(result: &ClipResult) -> CsvRow {
     let time = result.frame_time.map(|time| time.milliseconds);
     let source = result.frame_time.map(|time| time.provenance.as_str());
     let energy = result.energy;

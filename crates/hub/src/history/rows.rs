@@ -7,6 +7,7 @@ use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::ops::RangeInclusive;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
@@ -239,27 +240,19 @@ impl Store {
         read_all(self.query(text, values).await?)
     }
 
-    /// The number of the last event; 0 if there is none.
+    /// The numbers of the first event that was not deleted and of the last; both are 0 if there is none.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
-        let text = "SELECT COALESCE(max(id), 0) FROM events";
+    pub(crate) async fn kept_events(&self) -> Result<RangeInclusive<i64>, StoreError> {
+        let text = "SELECT COALESCE(min(id), 0), COALESCE(max(id), 0) FROM events";
         match self.query(text, Vec::new()).await?.first_mut() {
-            Some(row) => row.take(),
-            None => Ok(0),
-        }
-    }
-
-    /// The number of the first event that was not deleted; 0 if there is none.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub(crate) async fn first_event(&self) -> Result<i64, StoreError> {
-        let text = "SELECT COALESCE(min(id), 0) FROM events";
-        match self.query(text, Vec::new()).await?.first_mut() {
-            Some(row) => row.take(),
-            None => Ok(0),
+            Some(row) => {
+                let first = row.take()?;
+                let last = row.take()?;
+                Ok(first..=last)
+            }
+            None => Ok(0..=0),
         }
     }
 

@@ -31,8 +31,8 @@ pub(super) async fn archive(State(hub): State<Hub>) -> Response {
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let events = async {
         let store = hub.store()?;
-        let last = store.last_event().await?;
-        Ok(store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?)
+        let kept = store.kept_events().await?;
+        Ok(store.events_after(kept.end() - MOST_EVENTS, MOST_EVENTS).await?)
     };
     let revisions = async {
         let store = hub.store()?;

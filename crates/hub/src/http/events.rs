@@ -51,8 +51,7 @@ pub(super) async fn stream(
         None => selection.last_event_id,
     };
     let store = hub.store()?.clone();
-    let first = store.first_event().await?;
-    let newest = store.last_event().await?;
+    let (first, newest) = store.kept_events().await?.into_inner();
     let mut last = reader_has.unwrap_or(newest);
     let deleted = first.saturating_sub(last.saturating_add(1));
     let missed = match newest.saturating_sub(last) {

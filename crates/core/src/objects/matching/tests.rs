@@ -222,6 +222,14 @@ fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
     prop::collection::vec((one, 0..6u32), 0..most)
 }
 
+fn objects(seen: Vec<(BoundingBox, u32)>) -> Vec<ObjectState> {
+    seen.into_iter().map(|(place, age)| object(place, age)).collect()
+}
+
+fn detections(found: Vec<(BoundingBox, u32)>) -> Vec<Detection> {
+    found.into_iter().map(|(place, _)| detection(place)).collect()
+}
+
 proptest! {
     /// The most pairs match at the smallest cost, as the solver's own tests show.
     #[test]
@@ -229,8 +237,8 @@ proptest! {
         seen in scene(150), found in scene(150),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {
-        let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
-        let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
+        let states = objects(seen);
+        let detections = detections(found);
         let settings = Association { iou_gate, ..SETTINGS };
         let expected = associate_without_index(&settings, &states, &detections);
         prop_assert_eq!(associate(&settings, &states, &detections), expected);
@@ -241,8 +249,8 @@ proptest! {
         seen in scene(60), found in scene(60),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {
-        let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
-        let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
+        let states = objects(seen);
+        let detections = detections(found);
         let settings = Association { iou_gate, gate: GateOrder::AfterAssignment, ..SETTINGS };
         let expected = associate_all_pairs(&settings, &states, &detections);
         prop_assert_eq!(associate(&settings, &states, &detections), expected);
@@ -253,8 +261,8 @@ proptest! {
         seen in scene(60), found in scene(60), late in any::<bool>(),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate)],
     ) {
-        let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
-        let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
+        let states = objects(seen);
+        let detections = detections(found);
         let gate = if late { GateOrder::AfterAssignment } else { GateOrder::BeforeAssignment };
         let matches = associate(&Association { gate, iou_gate, ..SETTINGS }, &states, &detections);
         let mut taken = vec![false; detections.len()];
