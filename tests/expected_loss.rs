@@ -7,6 +7,11 @@ use crate::support::shared;
 mod equal_skip;
 use equal_skip::{Point, Recordings};
 
+#[path = "../crates/eval/examples/join.rs"]
+#[allow(dead_code)]
+mod join;
+use join::Groups;
+
 fn recordings(half_rate: bool, confidence: f64) -> Recordings {
     let folder = shared("data/recorded");
     let read = Recordings::read(&folder, half_rate, confidence).expect("the recordings");
@@ -55,4 +60,19 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_at_less_than_half_the_calls() 
         let reached = accuracy(&clips, skip_rate);
         assert!(reached >= vanilla, "{confidence}: {reached}, not {vanilla}");
     }
+}
+
+#[test]
+#[ignore = "needs ../shared"]
+fn shared_cameras_that_join_runs_need_fewer_for_as_many_pictures_and_are_as_accurate() {
+    let groups = Groups::read(&shared("data/recorded")).expect("the recordings");
+    let alone = groups.run("expected-loss:0.3", 0.0).expect("it runs");
+    let joining = groups.with_pictures("expected-loss", 0.5, alone.pictures).expect("it runs");
+    assert!(joining.pictures <= alone.pictures);
+    let share = joining.runs as f64 / alone.runs as f64;
+    assert!(share < 0.92, "{} runs, {} alone", joining.runs, alone.runs);
+    let change = joining.change(&alone).expect("clips");
+    assert_eq!(change.clips, 16);
+    let [lower, _] = change.interval.expect("clips differ");
+    assert!(lower > -1.0, "AP@50 {change:?}");
 }

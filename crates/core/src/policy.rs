@@ -341,6 +341,14 @@ pub trait Policy: Send + Sync {
         Err(InvalidThreshold::Absent { policy })
     }
 
+    /// Sets the share of the threshold that the frames that follow may fall short of and still call the detector, because
+    /// it runs anyway for another camera: with 0.1, from 90 % of the threshold on. 0, as at the start, for never. Without
+    /// effect where nothing is tracked, and on policies whose calls do not weigh anything (all but `albireo` with its
+    /// ablations, and `expected-loss`).
+    fn set_join(&mut self, share: f64) {
+        let _ = share;
+    }
+
     /// Begins a frame: advances the filters by `frame.step` and returns the first need.
     fn begin(&mut self, frame: FrameHead) -> Need;
 

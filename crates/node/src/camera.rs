@@ -287,7 +287,7 @@ impl Camera {
         self.parts.receiver.answer(incoming.query.take(), None);
         let mut frame = self.begin(incoming);
         let deciding = Instant::now();
-        frame.need = self.decider.policy.frame(frame.head, &mut self.outcome);
+        frame.need = self.decider.ask(&frame, &mut self.outcome);
         frame.times.latency.policy = milliseconds(deciding.elapsed());
         if frame.need == Need::Nothing {
             return self.conclude(&frame);

@@ -16,7 +16,7 @@ mod preparation;
 mod reader;
 
 pub use crate::onnx::{ExecutionProvider, GpuConfig, StartError};
-pub use crate::worker::{ModelStatus, RunError};
+pub use crate::worker::{Announcement, ModelStatus, RunError};
 pub use class_names::are_of_coco;
 pub use config::{ClassNames, DetectorConfig};
 pub use handle::{Detected, DetectorHandle, EngineBuild, SpareTurn};

@@ -6,6 +6,7 @@
 //! with growing pauses. A thread that has not come back [`STUCK_AFTER`] its deadline cannot be repaired within the
 //! process: [`Worker::ended`] reports it.
 
+mod coming;
 mod counters;
 mod error;
 mod handle;
@@ -16,6 +17,8 @@ mod successor;
 mod tests;
 mod thread;
 
+pub use coming::Announcement;
+pub(crate) use coming::Coming;
 pub use counters::{WorkerCounts, WorkerMeter};
 pub use error::RunError;
 pub(crate) use handle::Worker;
@@ -89,7 +92,7 @@ pub(crate) struct WorkerSettings {
     /// The maximum number of pictures in a run, each from another asker and all of one size.
     pub(crate) batch_size: usize,
     /// The longest time that a picture waits for pictures of other askers to share its run, from its request. It waits
-    /// only for those that are likely to come, and no longer than a run takes.
+    /// only for those that are announced or likely to come, and no longer than a run takes.
     pub(crate) batch_wait: Duration,
 }
 

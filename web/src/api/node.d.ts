@@ -2051,7 +2051,7 @@ export interface components {
          *     list is reported.
          * @enum {string}
          */
-        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "empty_road" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
+        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "empty_road" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame" | "joined";
         /** @description A camera. */
         CameraEntry: components["schemas"]["CameraStates"] & {
             advice?: components["schemas"]["Advice"] | null;

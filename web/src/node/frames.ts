@@ -69,6 +69,7 @@ export const CAUSES: Record<CallCause, CauseWords> = {
   changed: { name: "changed", meaning: "the picture changed" },
   schedule: { name: "schedule", meaning: "it was its turn" },
   every_frame: { name: "every frame", meaning: "the policy asks on every frame" },
+  joined: { name: "joined", meaning: "a call was near, and the detector ran anyway for another camera" },
 };
 
 /** Why the detector was called on a frame, as its node says; empty when it was not. */

@@ -21,6 +21,8 @@ pub struct Albireo {
     name: &'static str,
     tracker: Tracker,
     u: f64,
+    /// The share of `u` by which τ may fall short of it on a frame that joins a run.
+    join: f64,
     progress: Progress,
     /// Index of the current frame.
     index: u64,
@@ -60,6 +62,7 @@ impl Albireo {
             name: Self::NAME,
             tracker: Tracker::new(settings, u),
             u,
+            join: 0.0,
             progress: Progress::default(),
             index: 0,
             since_detector: 0,
@@ -106,6 +109,12 @@ impl Albireo {
         }
     }
 
+    /// True if a frame without a cause of its own is near enough to a call to join a run.
+    fn joins(&self) -> bool {
+        let enough = (1.0 - self.join) * self.u;
+        self.join > 0.0 && self.progress.tau_max.is_some_and(|tau| tau >= enough)
+    }
+
     fn take_detections(&mut self, detections: &[Detection]) -> Need {
         self.since_detector = 0;
         let life_cycle = self.tracker.settings.objects.life_cycle;
@@ -141,6 +150,10 @@ impl Policy for Albireo {
         Ok(())
     }
 
+    fn set_join(&mut self, share: f64) {
+        self.join = share;
+    }
+
     /// Tentative objects are active, as in the published code; the paper does not say otherwise.
     fn begin(&mut self, frame: FrameHead) -> Need {
         let AlbireoSettings {
@@ -171,6 +184,8 @@ impl Policy for Albireo {
             cause = Some(CallCause::NoObjects);
         } else if cause.is_none() && self.periodic_cap_is_due() {
             cause = Some(CallCause::PeriodicCap);
+        } else if cause.is_none() && self.joins() {
+            cause = Some(CallCause::Joined);
         }
         let need = self.progress.call(cause);
         if self.progress.active == 0 && asks_screen {

@@ -38,11 +38,13 @@ pub enum CallCause {
     Schedule,
     /// The policy calls the detector on every frame (`vanilla`).
     EveryFrame,
+    /// A call was near, and the detector runs anyway for another camera.
+    Joined,
 }
 
 impl CallCause {
     /// All causes, in counting order.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Uncertain,
         Self::NewObject,
         Self::ExpectedLoss,
@@ -58,6 +60,7 @@ impl CallCause {
         Self::Changed,
         Self::Schedule,
         Self::EveryFrame,
+        Self::Joined,
     ];
 
     /// The name on the wire.
@@ -78,6 +81,7 @@ impl CallCause {
             Self::Changed => "changed",
             Self::Schedule => "schedule",
             Self::EveryFrame => "every_frame",
+            Self::Joined => "joined",
         }
     }
 }

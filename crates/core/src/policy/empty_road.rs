@@ -249,6 +249,10 @@ impl Policy for WithPause {
         self.policy.set_threshold(value)
     }
 
+    fn set_join(&mut self, share: f64) {
+        self.policy.set_join(share);
+    }
+
     fn begin(&mut self, frame: FrameHead) -> Need {
         let step = frame.step.max(1);
         self.state.looks.advance(step);

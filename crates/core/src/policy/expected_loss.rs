@@ -80,6 +80,8 @@ pub struct ExpectedLoss {
     follower: Option<Box<Follower>>,
     /// True if the detector has answered since the stream began.
     started: bool,
+    /// The share of λ by which g may fall short of it on a frame that joins a run.
+    join: f64,
     /// L of the current frame.
     loss: f64,
     /// g of the current frame.
@@ -128,6 +130,7 @@ impl ExpectedLoss {
             pause: Pause::default(),
             follower: (settings.pixels == Pixels::Flow).then(Box::default),
             started: false,
+            join: 0.0,
             loss: 0.0,
             weight: 0.0,
             progress: Progress::default(),
@@ -162,11 +165,23 @@ impl ExpectedLoss {
 
     /// Returns the reason for a detector call at this weight of the losses.
     fn call_at(&self, weight: f64) -> Option<CallCause> {
-        if self.started {
-            self.pause.call(&self.trigger, self.settings.longest_pause, weight)
-        } else {
-            Some(CallCause::Start)
+        if !self.started {
+            return Some(CallCause::Start);
         }
+        let due = self.pause.call(&self.trigger, self.settings.longest_pause, weight);
+        if due.is_none() && self.joins(weight) {
+            return Some(CallCause::Joined);
+        }
+        due
+    }
+
+    /// True if a frame that needs no call is near enough to one, at this weight of the losses, to join a run.
+    fn joins(&self, weight: f64) -> bool {
+        let Trigger::ExpectedLoss { lambda } = self.trigger else {
+            return false;
+        };
+        let enough = (1.0 - self.join) * lambda;
+        self.join > 0.0 && self.progress.active > 0 && weight >= enough
     }
 
     /// Follows the boxes into the picture and decides again. A call demanded by the screen is not revoked.
@@ -199,6 +214,7 @@ impl ExpectedLoss {
         *self = Self {
             settings: self.settings,
             trigger: self.trigger,
+            join: self.join,
             objects: std::mem::take(&mut self.objects),
             follower: self.follower.take(),
             saved: self.saved.take(),
@@ -240,6 +256,10 @@ impl Policy for ExpectedLoss {
         let value = self.trigger.threshold_spec().check(value)?;
         self.trigger = self.trigger.with_value(value);
         Ok(())
+    }
+
+    fn set_join(&mut self, share: f64) {
+        self.join = share;
     }
 
     fn begin(&mut self, frame: FrameHead) -> Need {

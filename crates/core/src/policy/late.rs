@@ -109,6 +109,11 @@ impl LatePolicy {
         self.policy.set_threshold(value)
     }
 
+    /// Sets what [`Policy::set_join`] does, for the frames that follow.
+    pub fn set_join(&mut self, share: f64) {
+        self.policy.set_join(share);
+    }
+
     /// Why the newest compared picture has no news, and the number of frames since it last had some.
     pub fn no_news(&self) -> Option<(PassCause, u32)> {
         self.policy.no_news()

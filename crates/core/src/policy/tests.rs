@@ -290,3 +290,67 @@ fn an_empty_scene_skips_the_detector_and_without_the_screen_it_runs() {
     assert_eq!(run.frame(1, empty), FrameState::I);
     assert_eq!(run.needs, [Need::Detections]);
 }
+
+/// The frames on which `asked`, with an object in view, calls the detector: while another camera runs it on every frame
+/// and calls within `share` of the threshold join.
+fn calls_joining(asked: &str, share: f64) -> Vec<(u64, CallCause)> {
+    let mut run = Run::new(asked, Profile::Paper);
+    run.policy.set_join(share);
+    let mut calls = Vec::new();
+    for index in 0..40 {
+        run.see(&[seen(0.5, 0.9)]);
+        if let Some(cause) = run.outcome.cause {
+            calls.push((index, cause));
+        }
+    }
+    calls
+}
+
+#[test]
+fn a_call_that_is_near_joins_a_run_and_is_told_from_one_that_is_due() {
+    for asked in ["albireo:3e-3", "expected-loss:1", "expected-loss+flow:1"] {
+        let joined = |share| {
+            let calls = calls_joining(asked, share);
+            calls.into_iter().filter(|(_, cause)| *cause == CallCause::Joined).count()
+        };
+        assert_eq!(joined(0.0), 0, "{asked}");
+        assert!(joined(0.5) > 0, "{asked}");
+        let (own, near) = (
+            calls_joining(asked, 0.0).len(),
+            calls_joining(asked, 0.5).len(),
+        );
+        assert!(near > own, "{asked}: {near} calls, without joining {own}");
+    }
+}
+
+#[test]
+fn a_policy_that_weighs_no_calls_joins_none() {
+    for asked in known_policies() {
+        let weighs =
+            ["albireo", "kill", "expected-loss"].iter().any(|name| asked.starts_with(name));
+        if !weighs {
+            assert_eq!(
+                calls_joining(asked, 0.9),
+                calls_joining(asked, 0.0),
+                "{asked}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_empty_scene_joins_no_run() {
+    for asked in ["albireo", "expected-loss:100"] {
+        let mut run = Run::new(asked, Profile::Paper);
+        run.see(&[]);
+        run.policy.set_join(0.9);
+        for _ in 0..5 {
+            let empty = FrameEvidence {
+                empty: Some(true),
+                ..FrameEvidence::default()
+            };
+            assert!(run.frame(1, empty).is_skipped(), "{asked}");
+            assert_eq!(run.outcome.cause, None, "{asked}");
+        }
+    }
+}

@@ -54,6 +54,17 @@ impl Decider {
         !self.policy.waits()
     }
 
+    /// Asks the policy about a frame: overwrites `outcome` with its answer so far, and returns what it needs. A call that is
+    /// near joins a run that is about to begin, if the picture can be used and the evidence is not busy with another frame.
+    pub(super) fn ask(&mut self, frame: &BegunFrame, outcome: &mut Outcome) -> Need {
+        let join = match &self.evidence {
+            Some(evidence) if !frame.incoming.is_broken => evidence.join(frame.head.picture),
+            _ => 0.0,
+        };
+        self.policy.set_join(join);
+        self.policy.frame(frame.head, outcome)
+    }
+
     /// Fetches the evidence for a frame.
     pub(super) fn fetch(&mut self, frame: BegunFrame) {
         self.pending = Some(frame);

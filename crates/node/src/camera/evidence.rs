@@ -5,6 +5,7 @@
 mod tests;
 
 use crate::frame::{DetectorRun, Times};
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_service::clock::milliseconds;
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
@@ -74,6 +75,12 @@ impl LiveEvidence {
     /// The times of the current frame so far.
     pub(crate) fn times(&self) -> Times {
         self.current.times
+    }
+
+    /// The share of its threshold that the policy may fall short of on a frame of this size, as a run of the detector is
+    /// about to begin for another camera; 0 if none is.
+    pub(super) fn join(&self, picture: PictureSize) -> f64 {
+        self.detector.join(picture)
     }
 
     /// Fetches `need` for the current frame, whose picture is `encoded`. [`fetched`](Self::fetched) returns the result.
@@ -157,6 +164,7 @@ impl LiveEvidence {
         if self.detector.accepts().is_err() {
             return Ok(None);
         }
+        let _until_answered = self.detector.announce(self.slot, encoded.size);
         self.prepare(encoded, Stage::Prepared).await?;
         let Some(prepared) = self.current.frame.prepared.take() else {
             return Ok(None);

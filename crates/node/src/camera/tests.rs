@@ -19,19 +19,32 @@ use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::EmptyRun;
-use albireo_wire::{AuditReport, ClipEnd, ClipReport, DetectionsMessage, VERSION};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, DetectionsMessage, DetectorCalls, VERSION};
 use futures_util::FutureExt;
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::mpsc::UnboundedReceiver;
 
-pub(super) async fn detector() -> DetectorHandle {
-    let model = "../../tests/fixtures/models/boxes.onnx";
-    let config = DetectorConfig {
-        model: Path::new(env!("CARGO_MANIFEST_DIR")).join(model),
+fn detector_config(model: &str) -> DetectorConfig {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/models");
+    DetectorConfig {
+        model: models.join(model),
         timeout_ms: 60_000,
         ..DetectorConfig::default()
+    }
+}
+
+pub(super) async fn detector() -> DetectorHandle {
+    DetectorHandle::start(&detector_config("boxes.onnx")).await.unwrap()
+}
+
+/// A detector whose runs take two pictures, which finds an object in a bright one. Calls within `join` of the threshold join.
+pub(super) async fn shared_detector(join: f64) -> DetectorHandle {
+    let config = DetectorConfig {
+        batch_size: 2,
+        join,
+        ..detector_config("yolo_open.onnx")
     };
     DetectorHandle::start(&config).await.unwrap()
 }
@@ -87,14 +100,17 @@ impl Bench {
         Self::of(config).await
     }
 
-    async fn of(mut config: NodeConfig) -> Self {
+    async fn of(config: NodeConfig) -> Self {
+        Self::with(config, detector().await).await
+    }
+
+    async fn with(mut config: NodeConfig, detector: DetectorHandle) -> Self {
         config.cameras[0].ring = 64;
         let node = PreparedNode::new(&config).unwrap();
         let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
         let settings = config.cameras[0].receiver_settings(config.frame);
         let receiver = Arc::new(FrameReceiver::new(settings, Arc::clone(&camera.input)));
-        let detector = detector().await;
         let pixels = pixels(&detector);
         let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
@@ -232,11 +248,12 @@ async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip()
     assert_eq!(snapshot.dropped, *dropped);
 }
 
-fn empty_picture() -> EncodedPicture {
+/// A picture of one shade.
+fn plain_picture(shade: u8) -> EncodedPicture {
     let size = PictureSize::new(640, 360);
     EncodedPicture {
         format: PictureFormat::Gray8,
-        bytes: vec![0; 640 * 360].into(),
+        bytes: vec![shade; 640 * 360].into(),
         size,
         mount: None,
     }
@@ -259,7 +276,7 @@ async fn an_empty_road_is_passed_over_and_the_audit_tells_what_was_missed() {
     for index in 0..12 {
         // Something comes in while nobody looks.
         let picture = if index < 8 {
-            empty_picture()
+            plain_picture(0)
         } else {
             picture(index)
         };
@@ -449,4 +466,37 @@ pub(crate) fn answer(seq: u64, state: FrameState) -> DetectionsMessage {
         boxes: Vec::new(),
         latency_ms: Latency::default(),
     }
+}
+
+/// The calls of a camera with an object in view that stands still, by their causes.
+async fn calls_of(detector: DetectorHandle) -> DetectorCalls {
+    let mut config = NodeConfig::default();
+    config.policy.select("albireo:1e-3").unwrap();
+    let bench = Bench::with(config, detector).await;
+    for index in 0..30 {
+        put_picture(&bench.receiver, index, plain_picture(255));
+    }
+    let (board, _) = bench.play().await;
+    board.camera("front").unwrap().snapshot().calls
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_call_that_is_near_joins_the_run_that_another_camera_is_about_to_begin() {
+    let size = PictureSize::new(640, 360);
+    let other = CameraSlot(1);
+    let detector = shared_detector(0.5).await;
+    let alone = calls_of(detector.clone()).await;
+    assert_eq!(
+        alone.get(CallCause::Joined),
+        0,
+        "nobody else is about to call"
+    );
+
+    let _announced = detector.announce(other, size);
+    assert!(calls_of(detector).await.get(CallCause::Joined) > 0);
+
+    let never_joins = shared_detector(0.0).await;
+    let _announced = never_joins.announce(other, size);
+    assert_eq!(calls_of(never_joins).await, alone);
 }

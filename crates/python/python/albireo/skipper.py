@@ -40,6 +40,7 @@ _CAUSES = {
     "changed": "the picture changed",
     "schedule": "schedule",
     "every_frame": "every frame",
+    "joined": "the detector ran anyway for another camera",
 }
 
 

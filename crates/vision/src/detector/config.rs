@@ -70,8 +70,11 @@ pub struct DetectorConfig {
     /// The maximum number of frames in a run, each from another camera; more than 1 only for a model with an open
     /// batch.
     pub batch_size: usize,
+    /// The share of its threshold that a camera's policy may fall short of, and still call the detector, if a run is about to
+    /// begin for another camera and has room: with 0.3, from 70 % of the threshold on. 0 for never.
+    pub join: f64,
     /// The longest time that a frame waits for frames of other cameras, from its request: it waits only for those that are
-    /// likely to come, and no longer than a run takes. Not a node setting.
+    /// announced or likely to come, and no longer than a run takes. Not a node setting.
     #[serde(skip)]
     pub batch_wait_ms: u64,
     /// The ONNX Runtime library; if empty, it is searched for in `ORT_DYLIB_PATH`, beside the program, in
@@ -100,6 +103,7 @@ impl Default for DetectorConfig {
             threads: 0,
             timeout_ms: 2000,
             batch_size: 1,
+            join: 0.0,
             batch_wait_ms: 50,
             onnxruntime: None,
         }
@@ -149,6 +153,14 @@ impl DetectorConfig {
             let reason = format!("must be a number from 0 to 1, not {value}");
             check(key, (0.0..=1.0).contains(&value), reason);
         }
+        let reason = format!("must be a number from 0 to 0.9, not {}", self.join);
+        check("join", (0.0..=0.9).contains(&self.join), reason);
+        let reason = "has no effect while a run takes one frame: set detector.batch_size, too";
+        check(
+            "join",
+            self.join == 0.0 || self.batch_size > 1,
+            reason.to_owned(),
+        );
         for (key, value, least, most) in [
             ("threads", self.threads as u64, 0, 1024),
             ("timeout_ms", self.timeout_ms, 1, LONGEST_TIMEOUT_MS),

@@ -10,8 +10,11 @@ use super::{
 use super::{PreparedPicture, StartError};
 use crate::onnx::last_build;
 use crate::picture::Picture;
-use crate::worker::{Answer, Asker, Build, ModelStatus, RunError, Worker, WorkerCounts};
+use crate::worker::{
+    Announcement, Answer, Asker, Build, ModelStatus, RunError, Worker, WorkerCounts,
+};
 use crate::worker::{WorkerMeter, WorkerSettings};
+use albireo_core::geometry::PictureSize;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -33,6 +36,8 @@ pub struct DetectorHandle {
     expected_build: Option<Duration>,
     preparation: Preparation,
     spare: Arc<Semaphore>,
+    batch_size: usize,
+    join: f64,
 }
 
 /// The build of TensorRT's engine while another provider answers; does not keep the detector running.
@@ -113,6 +118,8 @@ impl DetectorHandle {
             expected_build: config.gpu.engine_cache.as_deref().and_then(last_build),
             preparation: Preparation::new(facts.input),
             spare: Arc::new(Semaphore::new(1)),
+            batch_size: config.batch_size,
+            join: config.join,
         })
     }
 
@@ -133,6 +140,28 @@ impl DetectorHandle {
     ) -> Result<Detected, RunError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
         self.detect_prepared(camera, prepared).await
+    }
+
+    /// Says, before a picture of this size is prepared, that the camera is about to ask: until its run begins, others wait
+    /// for it and may [join](Self::join) its run. Keep the announcement until the answer has come.
+    pub fn announce(&self, camera: CameraSlot, picture: PictureSize) -> Announcement {
+        let size = self.preparation.input_size(picture);
+        self.worker.coming.announce(Asker(camera.0), size)
+    }
+
+    /// The share of its threshold that a policy may fall short of on a frame of this size, for
+    /// [`Policy::set_join`](albireo_core::policy::Policy::set_join): as configured while a run is about to begin that the
+    /// frame could share, else 0.
+    pub fn join(&self, picture: PictureSize) -> f64 {
+        if self.join == 0.0 {
+            return 0.0;
+        }
+        let size = self.preparation.input_size(picture);
+        if self.worker.coming.has_room(size, self.batch_size) {
+            self.join
+        } else {
+            0.0
+        }
     }
 
     /// Finds the objects in a picture that [`preparation`](Self::preparation) has prepared. Waits for the

@@ -58,6 +58,11 @@ impl Preparation {
         self.0.inputs.model()
     }
 
+    /// The size of the input at which a picture of this size runs now.
+    pub(super) fn input_size(&self, picture: PictureSize) -> PictureSize {
+        self.0.inputs.size_for(picture)
+    }
+
     /// The inputs of the pictures so far, by their shape.
     pub fn inputs(&self) -> Vec<InputUse> {
         self.0.inputs.uses()
@@ -69,7 +74,7 @@ impl Preparation {
     /// # Errors
     /// If the picture is empty or its buffer does not fit its size.
     pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, FrameFault> {
-        self.prepare_at(picture, self.0.inputs.size_for(picture.source_size))
+        self.prepare_at(picture, self.input_size(picture.source_size))
     }
 
     /// [`prepare`](Self::prepare) for an input of `size`.

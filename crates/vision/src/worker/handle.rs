@@ -3,7 +3,7 @@
 use super::queue::{Queue, Request};
 use super::successor::Successor;
 use super::thread::ModelThread;
-use super::{Answer, Asker, Build, End, Model, ModelStatus, RunError, Task};
+use super::{Answer, Asker, Build, Coming, End, Model, ModelStatus, RunError, Task};
 use super::{WorkerInput, WorkerMeter, WorkerSettings};
 use crate::onnx::{ExecutionProvider, StartError};
 use std::sync::Arc;
@@ -14,6 +14,8 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 /// A handle to a running worker, which stops when its last handle is dropped.
 pub(crate) struct Worker<I, T> {
     requests: mpsc::UnboundedSender<Request<I, T>>,
+    /// The pictures that are announced.
+    pub(crate) coming: Coming,
     /// The worker's status, updated as it changes.
     pub(crate) status: watch::Receiver<ModelStatus>,
     idle: watch::Receiver<bool>,
@@ -35,6 +37,7 @@ impl<I, T> Clone for Worker<I, T> {
     fn clone(&self) -> Self {
         Self {
             requests: self.requests.clone(),
+            coming: self.coming.clone(),
             status: self.status.clone(),
             idle: self.idle.clone(),
             building: self.building.clone(),
@@ -68,13 +71,14 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         let (building, is_building) = watch::channel(None);
         let (end, ended) = watch::channel(None);
         let stop = CancellationToken::new();
+        let coming = Coming::default();
         let mut task = Task {
             settings,
             thread,
             successor: None,
             facts: None,
             requests: received,
-            queue: Queue::new(settings.batch_size, settings.batch_wait),
+            queue: Queue::new(settings.batch_size, settings.batch_wait, coming.clone()),
             is_stopping: false,
             provider: ExecutionProvider::Cpu,
             status,
@@ -85,6 +89,7 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         };
         let worker = Self {
             requests,
+            coming,
             status: watched,
             idle: is_idle,
             building: is_building,

@@ -1,6 +1,6 @@
 //! The pictures that wait for a run: askers take turns, and a run takes at most one picture of each, all of one size.
 
-use super::{Answer, Asker, RunError};
+use super::{Answer, Asker, Coming, RunError};
 use albireo_core::geometry::PictureSize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -36,11 +36,13 @@ pub(super) struct Queue<I, T> {
     batch_size: usize,
     /// The longest time that a picture waits for pictures of other askers, from its request.
     batch_wait: Duration,
+    /// The pictures that are announced, waiting or not.
+    coming: Coming,
     /// The duration of the last run. Waiting longer for another picture would be slower than a run of its own.
     last_run: Duration,
 }
 
-/// When an asker asks: by it a picture waits only for those that are likely to come.
+/// When an asker asks: by it a picture waits for those that are not announced yet but likely to come.
 #[derive(Clone, Copy, Debug)]
 struct Rhythm {
     /// The size of its latest picture.
@@ -93,13 +95,14 @@ impl Rhythm {
 }
 
 impl<I, T> Queue<I, T> {
-    pub(super) fn new(batch_size: usize, batch_wait: Duration) -> Self {
+    pub(super) fn new(batch_size: usize, batch_wait: Duration, coming: Coming) -> Self {
         Self {
             waiting: Vec::new(),
             askers: BTreeMap::new(),
             last_served: None,
             batch_size: batch_size.max(1),
             batch_wait,
+            coming,
             last_run: Duration::ZERO,
         }
     }
@@ -138,8 +141,8 @@ impl<I, T> Queue<I, T> {
         before - self.waiting()
     }
 
-    /// The time at which the next run may begin: at once, or when no picture of another asker is likely to come that could
-    /// share it. `None` if nothing waits.
+    /// The time at which the next run may begin: at once, or when no picture of another asker is announced or likely to come
+    /// that could share it. `None` if nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
         let Some(next) = self.next(|_| true) else {
             return self.waiting.first().map(|request| request.requested_at);
@@ -155,6 +158,10 @@ impl<I, T> Queue<I, T> {
             return Some(first);
         }
         let longest = self.batch_wait.min(self.last_run);
+        let announced = self.coming.askers_of(size);
+        if announced.iter().any(|asker| !waiting.contains(asker)) {
+            return Some(first + longest);
+        }
         let mut begins_at = first;
         for (asker, rhythm) in &self.askers {
             let could_share = rhythm.size == size && !waiting.contains(asker);
@@ -217,6 +224,9 @@ impl<I, T> Queue<I, T> {
                 self.last_served = request.asker;
             }
             batch.push(request);
+        }
+        for asker in batch.iter().filter_map(|request| request.asker) {
+            self.coming.begins(asker);
         }
         if batch.is_empty() && !self.waiting.is_empty() {
             batch.push(self.waiting.remove(0));

@@ -1,5 +1,5 @@
 use super::*;
-use crate::camera::tests::{detector, live_evidence, picture, pixels};
+use crate::camera::tests::{detector, live_evidence, picture, pixels, shared_detector};
 use futures_util::FutureExt;
 
 #[tokio::test]
@@ -20,6 +20,22 @@ async fn decoded_pictures_of_all_cameras_share_the_same_buffers() {
     drop(cameras);
     // Fewer than there are cameras.
     assert!(pixels.idle() <= 3, "{} buffers", pixels.idle());
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_frame_may_join_the_run_of_another_camera_from_its_decision_to_its_answer() {
+    let detector = shared_detector(0.3).await;
+    let pixels = pixels(&detector);
+    let mut first = live_evidence(&detector, &pixels);
+    let second = live_evidence(&detector, &pixels);
+    let picture = picture(0);
+    assert_eq!(second.join(picture.size), 0.0);
+    let mut detecting = Box::pin(first.detect(&picture));
+    assert!((&mut detecting).now_or_never().is_none());
+    assert_eq!(second.join(picture.size), 0.3);
+    assert!(detecting.await.unwrap().is_some());
+    assert_eq!(second.join(picture.size), 0.0);
 }
 
 #[tokio::test]

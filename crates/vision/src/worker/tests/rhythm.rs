@@ -1,4 +1,4 @@
-//! What a picture waits for before it runs: pictures of others that are likely to come, and nothing else.
+//! What a picture waits for before it runs: pictures of others that are announced or likely to come, and nothing else.
 
 use super::*;
 
@@ -11,15 +11,18 @@ const RUN: u64 = 12;
 /// A queue whose clock counts milliseconds from its start.
 struct Line {
     queue: Queue<(), ()>,
+    coming: Coming,
     start: Instant,
 }
 
 impl Line {
     fn new() -> Self {
-        let mut queue = Queue::new(8, Duration::from_millis(50));
+        let coming = Coming::default();
+        let mut queue = Queue::new(8, Duration::from_millis(50), coming.clone());
         queue.ran(Duration::from_millis(RUN));
         Self {
             queue,
+            coming,
             start: Instant::now(),
         }
     }
@@ -33,6 +36,11 @@ impl Line {
             requested_at: self.start + Duration::from_millis(at),
             reply,
         });
+    }
+
+    /// Says that a picture of `camera` is coming.
+    fn announce(&self, camera: usize) -> Announcement {
+        self.coming.announce(Asker(camera), SIZE)
     }
 
     /// When the next run may begin.
@@ -122,6 +130,48 @@ fn a_picture_does_not_wait_for_a_camera_without_a_rhythm() {
     }
     line.ask(0, at + 1);
     assert_eq!(line.begins_at(), at + 1);
+}
+
+#[test]
+fn a_picture_waits_for_one_that_is_announced() {
+    let mut line = Line::new();
+    let _first = line.announce(0);
+    let _second = line.announce(1);
+    line.ask(0, 0);
+    assert_eq!(line.begins_at(), RUN);
+    line.ask(1, 3);
+    assert_eq!(line.begins_at(), 0);
+    assert_eq!(line.run(), [0, 1]);
+}
+
+#[test]
+fn a_picture_does_not_wait_for_one_of_another_size_or_one_that_was_called_off() {
+    let mut line = Line::new();
+    let _wide = line.coming.announce(Asker(1), PictureSize::new(2, 1));
+    let called_off = line.announce(2);
+    line.ask(0, 0);
+    assert_eq!(line.begins_at(), RUN);
+    drop(called_off);
+    assert_eq!(line.begins_at(), 0);
+}
+
+#[test]
+fn a_camera_may_join_a_run_that_has_room_until_it_begins() {
+    let mut line = Line::new();
+    assert!(!line.coming.has_room(SIZE, 2), "no run is coming");
+    let _first = line.announce(0);
+    assert!(line.coming.has_room(SIZE, 2));
+    assert!(
+        !line.coming.has_room(PictureSize::new(2, 1), 2),
+        "of another size"
+    );
+    let second = line.announce(1);
+    assert!(!line.coming.has_room(SIZE, 2), "the run is full");
+    drop(second);
+    line.ask(0, 0);
+    assert!(line.coming.has_room(SIZE, 2), "the run has not begun");
+    line.run();
+    assert!(!line.coming.has_room(SIZE, 2), "the run has begun");
 }
 
 #[test]
