@@ -47,6 +47,7 @@ impl ComponentSolver {
         self.parent.extend(0..rows as u32);
         self.of_column.clear();
         self.of_column.resize(columns, NONE);
+        let mut all_alone = edges.windows(2).all(|pair| pair[0].row != pair[1].row);
         for edge in edges {
             let first = &mut self.of_column[edge.column as usize];
             if *first == NONE {
@@ -54,10 +55,16 @@ impl ComponentSolver {
                 continue;
             }
             // Two rows with an edge to one column belong together.
+            all_alone = false;
             let known = *first;
             let one = self.root(known);
             let other = self.root(edge.row);
             self.parent[one.max(other) as usize] = one.min(other);
+        }
+        // As in most frames with few objects: every component is one edge.
+        if all_alone {
+            pairs.extend(edges.iter().map(|edge| (edge.row, edge.column)));
+            return;
         }
         // A parent comes before its rows, so it knows its root already.
         for row in 0..rows {
