@@ -69,6 +69,19 @@ async fn an_export_that_says_nothing_of_its_output_is_recognised_by_a_run(
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
+async fn an_export_of_one_size_that_says_nothing_of_its_output_is_recognised_by_a_run() {
+    let config = changed("yolo_fixed_unsaid.onnx", |config| {
+        config.report_classes = Some(Vec::new());
+    });
+    let network = DetectorNetwork::open(&config).unwrap();
+    assert!(network.signature().to_string().contains("[?, ?, ?]"));
+    assert_eq!(network.head(), HeadName::Yolo);
+    let detector = started(&config).await;
+    assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn yolov5s_export_without_a_size_asks_for_it() {
     let refusal = refusal(&config("yolov5_unsaid.onnx")).await;
     assert_contains(&refusal, &["detector.input_size", "is open", "for example"]);

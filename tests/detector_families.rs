@@ -1,7 +1,7 @@
 //! The exports of many families, as graphs of constants: the planted boxes are found where they lie in the picture, or the
 //! refusal names a setting with which they are.
 
-use super::support::onnx::Planted;
+use super::support::onnx::{FLOAT, INT8, INT16, INT32, INT64, Planted, UINT8, UINT16, UINT32};
 use super::support::{assert_contains, shared};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{ClassNames, DetectorConfig, DetectorNetwork};
@@ -131,6 +131,11 @@ fn third_class(before: &[f32], score: f32) -> Vec<f32> {
     one("output0", &[1, 25200, 85], 0.0, &rows(85, &[&third_class(&row(CENTRED, &[0.95]), 0.95)])),
     nothing, "car", IN_MARGINS
 )]
+#[case::yolov7_with_its_feature_maps(
+    one("output", &[1, 25200, 85], 0.0, &rows(85, &[&third_class(&row(CENTRED, &[0.95]), 0.95)]))
+        .output("map", &[1, 3, 20, 20, 85], &[1, 3, 20, 20, 85], 3.0, &[]),
+    nothing, "car", IN_MARGINS
+)]
 #[case::yolov6(
     one("outputs", &[1, 8400, 85], 0.0, &rows(85, &[&third_class(&row(CENTRED, &[1.0]), 0.9)])),
     nothing, "car", IN_MARGINS
@@ -198,6 +203,62 @@ fn a_familys_export_gives_the_box_where_it_lies_in_the_picture(
     assert_found(&mut network, &[(class, corners)]);
 }
 
+#[rstest::rstest]
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_model_gets_the_size_of_its_picture_in_any_form_that_exporters_write(
+    #[values(INT64, INT32, FLOAT)] element: u64,
+    #[values(&[1, 2], &[2])] shape: &[i64],
+) {
+    let boxes = rows(4, &[&CORNERS]);
+    let planted = Planted::default()
+        .input("images", &INPUT)
+        .input_of(element, "orig_target_sizes", shape)
+        .whole_output("labels", &[1, 300], 2)
+        .output("boxes", &[1, 300, 4], &[1, 300, 4], 0.0, &boxes)
+        .output("scores", &[1, 300], &[1, 300], 0.0, &[(0, 0.9)]);
+    let folder = tempfile::tempdir().unwrap();
+    let mut network = open(planted.write(folder.path()), &[coco]).unwrap();
+    assert_found(&mut network, &[("car", STRETCHED)]);
+}
+
+#[rstest::rstest]
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn class_numbers_are_read_from_whole_numbers_of_any_width(
+    #[values(UINT8, INT8, UINT16, INT16, UINT32, INT32, INT64)] element: u64,
+) {
+    let boxes = rows(4, &[&CORNERS]);
+    let planted = Planted::default()
+        .input("image", &INPUT)
+        .output("boxes", &[1, 300, 4], &[1, 300, 4], 0.0, &boxes)
+        .output("scores", &[1, 300], &[1, 300], 0.0, &[(0, 0.9)])
+        .output_of(element, "class_idx", &[1, 300], 2);
+    let columns: Change = |config| {
+        let columns = "columns=boxes: x1 y1 x2 y2, scores: score, class_idx: class";
+        config.head = columns.parse().unwrap();
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut network = open(planted.write(folder.path()), &[coco, columns]).unwrap();
+    assert_found(&mut network, &[("car", IN_MARGINS)]);
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn only_numbers_that_are_not_finite_are_laid_to_half_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    for (score, is_said) in [(f32::NAN, true), (90.0, false)] {
+        let column = |number: usize, value: f32| (number * 8400 + 7, value);
+        let mut places = vec![column(6, score)];
+        places.extend(CENTRED.into_iter().enumerate().map(|(number, side)| column(number, side)));
+        let planted = one("output0", &[1, 84, 8400], 0.0, &places);
+        let mut network = open(planted.write(folder.path()), &[]).unwrap();
+        let black = network.preparation().prepare(&Picture::black(SIZE)).unwrap();
+        let fault = (0..5).find_map(|_| network.detect(&black).err()).unwrap().to_string();
+        assert_eq!(fault.contains("half precision"), is_said, "{fault}");
+    }
+}
+
 /// What a refused model is told, the change that the words ask for, and what is then found.
 #[rstest::rstest]
 #[case::rt_detr_of_transformers(
@@ -219,6 +280,17 @@ fn a_familys_export_gives_the_box_where_it_lies_in_the_picture(
     |config: &mut DetectorConfig| {
         config.head = "rtmdet".parse().unwrap();
         config.input_size = Some([640, 640]);
+    },
+    IN_CORNER
+)]
+#[case::damo_yolo(
+    one("output", &[1, 8400, 80], 0.0, &[(2, 0.9)])
+        .output("1117", &[1, 8400, 4], &[1, 8400, 4], 0.0, &rows(4, &[&CORNERS])),
+    nothing, &["\"yolo-nas\"", "\"0..255\"", "\"letterbox-corner\""],
+    |config: &mut DetectorConfig| {
+        config.head = "yolo-nas".parse().unwrap();
+        config.range = Some(ValueRange::To255);
+        config.fit = Some(Fit::TopLeft);
     },
     IN_CORNER
 )]
@@ -276,6 +348,30 @@ fn a_model_that_is_refused_is_read_with_the_settings_that_the_refusal_names(
     assert_contains(&refusal, said);
     let mut network = open(file, &[change, remedy]).unwrap();
     assert_found(&mut network, &[("car", corners)]);
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn what_was_assumed_of_a_model_is_said_where_its_reading_is_unless_it_was_configured() {
+    let folder = tempfile::tempdir().unwrap();
+    let shape = [1, 8400, 85];
+    let car = third_class(&row(CENTRED, &[1.0]), 0.9);
+    let yolov6 = one("outputs", &shape, 0.0, &rows(85, &[&car])).write(folder.path());
+    let said = open(yolov6.clone(), &[]).unwrap().description();
+    assert_contains(&said, &["head yolov5", "set detector.head", "\"yolox\""]);
+    let configured: Change = |config| config.head = "yolov5".parse().unwrap();
+    let said = open(yolov6, &[configured]).unwrap().description();
+    assert!(!said.contains("set detector.head"), "{said}");
+    let detr = Planted::default()
+        .input("input", &INPUT)
+        .output("dets", &[1, 300, 4], &[1, 300, 4], 0.0, &[])
+        .output("labels", &[1, 300, 3], &[1, 300, 3], -5.0, &[])
+        .entry("names", "{0: 'car', 1: 'bus'}");
+    let said = open(detr.write(folder.path()), &[]).unwrap().description();
+    assert_contains(
+        &said,
+        &["class 2, the last of 0 to 2", "detector.class_names"],
+    );
 }
 
 #[test]

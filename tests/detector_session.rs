@@ -7,7 +7,7 @@ use super::support::{assert_contains, grey_jpeg, run_command};
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, ExecutionProvider, HeadName, ModelStatus,
 };
-use albireo_vision::picture::ColorOrder;
+use albireo_vision::picture::{ColorOrder, ValueRange};
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use std::sync::Arc;
 
@@ -55,6 +55,9 @@ fn nothing(_: &mut DetectorConfig) {}
 ])]
 #[case::no_class_names("yolo_float16.onnx", nothing, &["detector.class_names", "2 classes"])]
 #[case::another_size("yolo_bytes.onnx", |c: &mut DetectorConfig| c.input_size = Some([128, 64]), &["64x32", "128x64"])]
+#[case::another_range_than_of_bytes("yolo_bytes.onnx", |c: &mut DetectorConfig| c.range = Some(ValueRange::ToOne), &[
+    "detector.range", "\"0..1\"", "takes bytes", "leave it out",
+])]
 #[case::one_picture_a_run("colours.onnx", |c: &mut DetectorConfig| c.batch_size = 3, &["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"])]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]

@@ -98,16 +98,16 @@ fn the_boxes_agree_with_the_vendors_code(
         })
         .collect();
     let fitting = head::recognise(&signature, input, None).expect("recognised");
-    let found = match fitting.only() {
-        Some(name) => name,
+    let found = match fitting.only(&signature) {
+        Some(found) => found,
         None => {
             let told = fitting.by_values(&signature, input, &views);
             told.expect("told by its values")
         }
     };
-    assert_eq!(found, expected_head);
+    assert_eq!(found.name, expected_head);
     let overrides = HeadOverrides::default();
-    let head = head::bind(&found.into(), &signature, input, overrides).expect("it fits");
+    let head = head::bind(&found.name.into(), &signature, input, overrides).expect("it fits");
     let format = head.input_format;
     assert_eq!((format.fit, format.value_range), expected_input);
     let (width, height) = (fixture.columns as f64, fixture.rows as f64);
@@ -116,7 +116,7 @@ fn the_boxes_agree_with_the_vendors_code(
         let mut candidates = Vec::new();
         let rejected = head.read(&views, case.confidence, &mut candidates).unwrap();
         assert_eq!(rejected, 0);
-        if head.overlaps {
+        if head.overlaps_in(&views) {
             let settings = Suppression {
                 overlap: case.overlap,
                 per_class: case.per_class,

@@ -7,7 +7,7 @@ use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadCounts, HeadSetting,
-    USUAL_PICTURE,
+    USUAL_PICTURE, named_classes,
 };
 use albireo_vision::picture::{
     ColorOrder, EncodedPicture, Fit, FrameLimits, LineStyle, Picture, PictureFormat, PixelLayout,
@@ -191,10 +191,11 @@ fn print_waste(network: &DetectorNetwork) {
 
 /// The classes that are reported, and those that are not.
 fn classes(reported: &[String], left_out: &[String]) -> String {
+    let named = named_classes(reported);
     let mut text = format!(
         "reports {}: {}",
-        counted(reported.len() as u64, "class", "classes"),
-        reported.join(", ")
+        counted(named.len() as u64, "class", "classes"),
+        named.join(", ")
     );
     if !left_out.is_empty() {
         let first: Vec<_> = left_out.iter().take(8).map(String::as_str).collect();
@@ -230,7 +231,9 @@ fn not_reported(counts: &HeadCounts, left_out: &[String]) -> Vec<String> {
         (counts.outside, "outside of the picture".to_owned()),
         (
             counts.unknown_class,
-            "of a class number for which there is no name (--class-names)".to_owned(),
+            "of a class number for which there is no name (--class-names; if the numbers begin with 1, let the names \
+             begin with one that does not occur)"
+                .to_owned(),
         ),
         (counts.over_limit, "beyond the limit of detections (--most)".to_owned()),
     ];

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub(crate) enum Numbers {
     Floats(Vec<f32>),
-    Whole(Vec<i64>),
+    Whole { element: u64, values: Vec<i64> },
 }
 
 /// An input, whose elements are of a type of `onnx.proto`.
@@ -30,15 +30,20 @@ struct PlantedOutput {
 /// A model of constants.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Planted {
-    /// Inputs of float32, and the one of int64 that some models have beside the picture.
+    /// The picture, and what some models have beside it.
     inputs: Vec<PlantedInput>,
     outputs: Vec<PlantedOutput>,
     metadata: Vec<(&'static str, String)>,
 }
 
-const FLOAT: u64 = 1;
-const UINT8: u64 = 2;
-const INT64: u64 = 7;
+pub(crate) const FLOAT: u64 = 1;
+pub(crate) const UINT8: u64 = 2;
+pub(crate) const INT8: u64 = 3;
+pub(crate) const UINT16: u64 = 4;
+pub(crate) const INT16: u64 = 5;
+pub(crate) const INT32: u64 = 6;
+pub(crate) const INT64: u64 = 7;
+pub(crate) const UINT32: u64 = 12;
 
 impl Planted {
     pub(crate) fn input(self, name: &'static str, shape: &[i64]) -> Self {
@@ -53,7 +58,7 @@ impl Planted {
         self.input_of(INT64, name, shape)
     }
 
-    fn input_of(mut self, element: u64, name: &'static str, shape: &[i64]) -> Self {
+    pub(crate) fn input_of(mut self, element: u64, name: &'static str, shape: &[i64]) -> Self {
         self.inputs.push(PlantedInput {
             name,
             shape: shape.to_vec(),
@@ -85,14 +90,25 @@ impl Planted {
         self
     }
 
-    pub(crate) fn whole_output(mut self, name: &'static str, shape: &[i64], first: i64) -> Self {
+    pub(crate) fn whole_output(self, name: &'static str, shape: &[i64], first: i64) -> Self {
+        self.output_of(INT64, name, shape, first)
+    }
+
+    /// An output of whole numbers, all 0 but the first.
+    pub(crate) fn output_of(
+        mut self,
+        element: u64,
+        name: &'static str,
+        shape: &[i64],
+        first: i64,
+    ) -> Self {
         let mut values = vec![0; shape.iter().product::<i64>() as usize];
         values[0] = first;
         self.outputs.push(PlantedOutput {
             name,
             declared: shape.to_vec(),
             shape: shape.to_vec(),
-            numbers: Numbers::Whole(values),
+            numbers: Numbers::Whole { element, values },
         });
         self
     }
@@ -122,7 +138,7 @@ impl Planted {
         for output in &self.outputs {
             let element = match output.numbers {
                 Numbers::Floats(_) => FLOAT,
-                Numbers::Whole(_) => INT64,
+                Numbers::Whole { element, .. } => element,
             };
             let info = value_info(output.name, element, &output.declared);
             graph.message(12, &info);
@@ -159,9 +175,15 @@ fn tensor(name: &str, shape: &[i64], numbers: &Numbers) -> Message {
             let bytes = values.iter().flat_map(|value| value.to_le_bytes());
             (FLOAT, bytes.collect())
         }
-        Numbers::Whole(values) => {
-            let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-            (INT64, bytes.collect())
+        Numbers::Whole { element, values } => {
+            let width = match *element {
+                UINT8 | INT8 => 1,
+                UINT16 | INT16 => 2,
+                INT32 | UINT32 => 4,
+                _ => 8,
+            };
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes().into_iter().take(width));
+            (*element, bytes.collect())
         }
     };
     tensor.number(2, element).text(8, name).bytes(9, &bytes);

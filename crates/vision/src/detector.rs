@@ -18,6 +18,7 @@ mod reader;
 pub use crate::onnx::{ExecutionProvider, GpuConfig, StartError};
 pub use crate::worker::{Announcement, ModelStatus, RunError};
 pub use class_names::are_of_coco;
+pub use classes::named_classes;
 pub use config::{ClassNames, DetectorConfig};
 pub use handle::{Detected, DetectorHandle, EngineBuild, SpareTurn};
 pub use head_name::{HeadName, HeadSetting};

@@ -1,14 +1,16 @@
 //! Video files as dashcams and action cameras write them: minutes or chapters in one folder. They are put in order and
 //! joined to drives, with the time at which each began; what a power cut left unreadable is told.
 
+mod kind;
 mod name;
 mod probe;
 
 use crate::picture::is_hidden;
 use glob::MatchOptions;
-use name::FileName;
+pub use kind::FileKind;
+use name::{FileName, Letter};
 use probe::{VideoFacts, probe};
-pub use probe::{for_ffmpeg, frame_rate};
+pub use probe::{check_is_whole, for_ffmpeg, frame_rate};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
@@ -57,8 +59,13 @@ pub fn video_files(text: &str) -> Result<Vec<PathBuf>, String> {
     if files.is_empty() {
         return Err(nothing(text));
     }
+    let letter = if differ_in_a_letter(&files) {
+        Letter::IsMark
+    } else {
+        Letter::IsMarkBehindTime
+    };
     let mut named: Vec<(FileName, PathBuf)> =
-        files.into_iter().map(|file| (FileName::of(&file), file)).collect();
+        files.into_iter().map(|file| (FileName::read(&file, letter), file)).collect();
     check_one_camera(text, &named)?;
     named.sort_by(|(one, one_file), (other, other_file)| {
         one.order.cmp(&other.order).then_with(|| one_file.cmp(other_file))
@@ -68,6 +75,22 @@ pub fn video_files(text: &str) -> Result<Vec<PathBuf>, String> {
         named.sort_by_key(|(name, _)| name.time);
     }
     Ok(named.into_iter().map(|(_, file)| file).collect())
+}
+
+/// True if names differ only in a last letter behind a number, and the letters are those of cameras, the front among
+/// them: `FILE0001F`, `FILE0001R`. Others count with letters, `scene1a` to `scene1f`.
+fn differ_in_a_letter(files: &[PathBuf]) -> bool {
+    let mut letters: BTreeMap<String, Vec<u8>> = BTreeMap::new();
+    for file in files {
+        if let Some(numbered) = name::numbered(file) {
+            letters.entry(numbered.before).or_default().push(numbered.letter);
+        }
+    }
+    letters.values().any(|letters| {
+        let of_cameras = letters.iter().all(|letter| b"frbi".contains(letter));
+        let differ = letters.iter().any(|letter| *letter != b'f');
+        of_cameras && differ && letters.contains(&b'f')
+    })
 }
 
 /// What is in a folder.

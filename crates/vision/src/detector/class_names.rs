@@ -73,15 +73,28 @@ pub(super) fn read(
     Ok(names)
 }
 
+/// What is assumed of a model of the DETR family with one class more than there are names; `None` for any other.
+pub(super) fn assumed(head: &Head, names: usize) -> Option<String> {
+    if head.classes? != names + 1 {
+        return None;
+    }
+    Some(format!(
+        "class {names}, the last of 0 to {names}, has no name and is taken for \"no object\": if the model's numbers \
+         begin with 1, give detector.class_names as a list that begins with an empty name"
+    ))
+}
+
 /// What is said of a model without names.
 fn no_names(head: &Head) -> String {
-    let count = match head.classes {
-        Some(classes) => format!("{classes} "),
-        None => String::new(),
+    let classes = match head.classes {
+        Some(1) => "1 class".to_owned(),
+        Some(classes) => format!("{classes} classes"),
+        None => "classes".to_owned(),
     };
     format!(
-        "the model does not name its {count}classes; give a file with one name per line, or a list, or \"coco\" if it was \
-         trained on COCO (\"coco91\" if its numbers are COCO's categories)"
+        "the model, read with the head `{}`, does not name its {classes}; give a file with one name per line, or a list, \
+         or \"coco\" if it was trained on COCO (\"coco91\" if its numbers are COCO's categories)",
+        head.name.as_str()
     )
 }
 
@@ -125,8 +138,8 @@ fn given(configured: Option<&ClassNames>, metadata: &Metadata) -> Result<Given, 
 }
 
 /// The list of COCO that `path` stands for; a file of that name goes before.
-fn listed_as(path: &Path) -> Option<Vec<String>> {
-    if path.exists() {
+pub(super) fn listed_as(path: &Path) -> Option<Vec<String>> {
+    if path.is_file() {
         return None;
     }
     match path.to_str() {
@@ -156,39 +169,121 @@ fn own_list(head: &Head) -> Option<Vec<String>> {
 }
 
 /// The names of a file, as programs and editors write them: one per line, perhaps numbered, or a dictionary or a list as
-/// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments.
+/// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments. An empty first
+/// line is the class 0 of a model that does not use it.
 fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
     let decoded = text_of(bytes)?;
     let text = decoded.trim_start_matches('\u{feff}').trim_end();
     if text.trim_start().starts_with(['{', '[']) {
         return metadata_names(text.trim_start());
     }
+    if let Some(other) = other_format(text) {
+        return Err(other.to_owned());
+    }
     let mut names = Vec::new();
-    let mut first_empty = None;
     for (line, number) in text.lines().zip(1..) {
         let name = line.trim();
-        if name.starts_with('#') || (name.is_empty() && names.is_empty()) {
+        if name.starts_with('#') {
             continue;
         }
-        if name.is_empty() && first_empty.is_none() {
-            first_empty = Some(number);
+        if name.is_empty() && number > 1 {
+            return Err(format!("line {number} is empty"));
         }
         names.push(name);
     }
-    if names.is_empty() {
+    if names.iter().all(|name| name.is_empty()) {
         return Err("it is empty; one name per line is needed".to_owned());
     }
-    if let Some(line) = first_empty {
-        return Err(format!("line {line} is empty"));
+    match numbering(&names) {
+        Numbering::None => Ok(names.into_iter().map(str::to_owned).collect()),
+        Numbering::Of(numbered) => Ok(by_number(&numbered)),
+        Numbering::Unclear(reason) => Err(reason.to_owned()),
     }
-    // The numbers are left away only if every line has its own.
-    let after_numbers: Option<Vec<&str>> = names
-        .iter()
-        .enumerate()
-        .map(|(place, name)| after_number(name, place))
-        .collect();
-    let plain = after_numbers.unwrap_or(names);
-    Ok(plain.into_iter().map(str::to_owned).collect())
+}
+
+/// What is said of a file of names in a format that is not read.
+fn other_format(text: &str) -> Option<&'static str> {
+    let has_line = |start: &str| text.lines().any(|line| line.trim_start().starts_with(start));
+    if has_line("names:") {
+        return Some(
+            "it is a data set in YAML: write what is under `names` into a file of its own, one name per line",
+        );
+    }
+    if has_line("item {") || has_line("item{") {
+        return Some(
+            "it is a label map of TensorFlow (`item {`): write the names into a file of their own, one per line, after an \
+             empty line for the class 0, which does not occur",
+        );
+    }
+    if text.contains(',') && text.lines().count() == 1 && numbered_name(text).is_none() {
+        return Some("it is one line with commas: one name per line is needed");
+    }
+    None
+}
+
+/// A name with the number of its class.
+struct NumberAndName<'a> {
+    number: u16,
+    name: &'a str,
+}
+
+/// What the numbers at the starts of lines are.
+enum Numbering<'a> {
+    /// None, or parts of the names.
+    None,
+    /// Those of the classes.
+    Of(Vec<NumberAndName<'a>>),
+    /// Perhaps those of the classes: what to do.
+    Unclear(&'static str),
+}
+
+/// What the numbers at the starts of these lines are, of which the first may be empty: those of the classes if every line
+/// has one, and they grow from the first class on.
+fn numbering<'a>(lines: &[&'a str]) -> Numbering<'a> {
+    let has_empty_line = lines.first().is_some_and(|line| line.is_empty());
+    let names = if has_empty_line { &lines[1..] } else { lines };
+    let Some(numbered) = growing(names) else {
+        let below_first = names.get(1..).and_then(growing).unwrap_or_default();
+        return match below_first.first() {
+            Some(second) if second.number <= 1 => Numbering::Unclear(
+                "its lines are numbered but for the first, which may be a heading: leave the heading out, or the numbers",
+            ),
+            _ => Numbering::None,
+        };
+    };
+    match numbered.first().map(|first| first.number) {
+        Some(0) => Numbering::Of(numbered),
+        Some(1) if has_empty_line => Numbering::Of(numbered),
+        Some(1) => Numbering::Unclear(
+            "its lines are numbered from 1, and the classes of most models from 0: leave the numbers out, or, if the \
+             model's begin with 1 as well, let the file begin with an empty line; if the numbers are parts of the names, \
+             write them as a list: [\"1 a\", \"2 b\"]",
+        ),
+        _ => Numbering::None,
+    }
+}
+
+/// These lines with their numbers, if each has one that is larger than that before it.
+fn growing<'a>(lines: &[&'a str]) -> Option<Vec<NumberAndName<'a>>> {
+    let mut found: Vec<NumberAndName<'a>> = Vec::new();
+    for &line in lines {
+        let next = numbered_name(line)?;
+        if found.last().is_some_and(|last| last.number >= next.number) {
+            return None;
+        }
+        found.push(next);
+    }
+    Some(found)
+}
+
+/// The names in the places of their numbers, which grow; those between are empty.
+fn by_number(numbered: &[NumberAndName<'_>]) -> Vec<String> {
+    let mut names = Vec::new();
+    for NumberAndName { number, name } in numbered {
+        names.resize(usize::from(*number), String::new());
+        names.push((*name).to_owned());
+    }
+    names
 }
 
 /// The text of a file in UTF-8, or in UTF-16 with a byte-order mark.
@@ -207,17 +302,21 @@ fn text_of_utf16(bytes: &[u8], number: fn([u8; 2]) -> u16) -> Result<String, Str
     String::from_utf16(&units).map_err(|error| error.to_string())
 }
 
-/// What follows the number `place` on a line such as `2 car`, `2: car` or `2,car`.
-fn after_number(line: &str, place: usize) -> Option<&str> {
-    let rest = line.strip_prefix(&place.to_string())?;
-    let name = rest.trim_start_matches([':', ',', ';', '=']).trim().trim_matches(['"', '\'']);
+/// The number and the name of a line such as `2 car`, `2: car` or `2,car`.
+fn numbered_name(line: &str) -> Option<NumberAndName<'_>> {
+    let after_number = line.trim_start_matches(|sign: char| sign.is_ascii_digit());
+    let digits = &line[..line.len() - after_number.len()];
+    let name = after_number
+        .trim_start_matches([':', ',', ';', '='])
+        .trim()
+        .trim_matches(['"', '\'']);
     // Without anything between them the number is a part of the name, as in `4x4`.
-    let is_apart = name.len() < rest.len();
-    if is_apart && !name.is_empty() {
-        Some(name)
-    } else {
-        None
+    let is_apart = name.len() < after_number.len();
+    if !is_apart || name.is_empty() {
+        return None;
     }
+    let number = digits.parse().ok()?;
+    Some(NumberAndName { number, name })
 }
 
 fn metadata_names(text: &str) -> Result<Vec<String>, String> {
@@ -305,6 +404,17 @@ mod tests {
     }
 
     #[test]
+    fn a_class_that_is_taken_for_no_object_is_said_with_the_way_out() {
+        let three = head(HeadName::Detr, Some(3));
+        let words = assumed(&three, 2).unwrap();
+        for part in ["class 2, the last of 0 to 2", "detector.class_names"] {
+            assert!(words.contains(part), "{words}");
+        }
+        assert_eq!(assumed(&three, 3), None);
+        assert_eq!(assumed(&head(HeadName::EndToEnd, None), 2), None);
+    }
+
+    #[test]
     fn unusable_names_are_an_error_that_says_where_they_are() {
         let (path_of_empty, empty) = file_with("");
         let (path_of_gap, with_gap) = file_with("car\n\nbus\n");
@@ -348,6 +458,46 @@ mod tests {
     }
 
     #[test]
+    fn an_empty_first_line_is_the_class_0_of_a_model_whose_numbers_begin_with_1() {
+        for text in [
+            "\nperson\ncar\n",
+            "\n1 person\n2 car",
+            "\u{feff}\r\nperson\r\ncar",
+        ] {
+            assert_eq!(of_file(text.as_bytes()).unwrap(), ["", "person", "car"]);
+        }
+    }
+
+    #[test]
+    fn names_with_numbers_from_0_on_are_in_the_places_of_their_numbers() {
+        for text in ["0  person\n2  car", "\n0 person\n2 car", "0,person\n2,car"] {
+            assert_eq!(of_file(text.as_bytes()).unwrap(), ["person", "", "car"]);
+        }
+        assert_eq!(of_file(b"0,plate").unwrap(), ["plate"]);
+        // Names alone, by their meaning.
+        for lines in [["2 door", "4 door"], ["10", "20"], ["a", "b, c"]] {
+            assert_eq!(of_file(lines.join("\n").as_bytes()).unwrap(), lines);
+        }
+    }
+
+    #[test]
+    fn a_file_whose_numbers_or_format_leave_the_classes_unclear_is_refused_with_what_to_do() {
+        for (text, said) in [
+            ("1 person\n2 car", "begin with an empty line"),
+            ("1: person\n3: car", "begin with an empty line"),
+            ("id,name\n0,person\n1,car", "heading"),
+            ("path: x\nval: b\nnames:\n  0: person", "YAML"),
+            ("nc: 2\nnames: ['person', 'car']", "YAML"),
+            ("item {\n  id: 1\n  name: 'person'\n}", "label map"),
+            ("person,bicycle,car\n", "commas"),
+            ("\n# nothing\n", "empty"),
+        ] {
+            let error = of_file(text.as_bytes()).unwrap_err();
+            assert!(error.contains(said), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
     fn a_class_file_that_is_no_text_is_an_error() {
         let error = of_file(b"\xff\x00\x01").unwrap_err();
         assert!(error.contains("not text"), "{error}");
@@ -358,7 +508,9 @@ mod tests {
         for (text, line) in [
             ("car\n\nbus\n", 2),
             ("# classes\nperson\n\ncar", 3),
-            ("\n\nperson\n# a comment\n\ncar", 5),
+            ("# classes\n\nperson", 2),
+            ("\n\nperson", 2),
+            ("\nperson\n# a comment\n\ncar", 4),
         ] {
             let error = of_file(text.as_bytes()).unwrap_err();
             assert_eq!(error, format!("line {line} is empty"), "{text:?}");

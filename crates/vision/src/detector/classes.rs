@@ -12,6 +12,17 @@ const SYNONYMS: [(&str, &str); 5] = [
     ("motorbike", "motorcycle"),
 ];
 
+/// What becomes of the boxes of one class of a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reporting {
+    /// They are reported as boxes of this class.
+    As(ClassId),
+    /// They are not reported.
+    LeftOut,
+    /// The model has no such class.
+    NoSuchClass,
+}
+
 /// The reported classes, and the mapping from the model's classes to them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Classes {
@@ -30,7 +41,7 @@ impl Classes {
     /// If the configuration contains a name that the model does not have.
     pub(super) fn new(names: &[String], config: &DetectorConfig) -> Result<Self, StartError> {
         let wrong = |key: &str, name: &str| {
-            let names = names.join(", ");
+            let names = named_classes(names).join(", ");
             let reason = format!("the model has no class `{name}`; it has {names}");
             StartError::configuration(key, reason)
         };
@@ -61,10 +72,13 @@ impl Classes {
         Ok(classes)
     }
 
-    /// The number under which class `number` of the model is reported: `None` if the model has no such class,
-    /// `Some(None)` if the class is not reported.
-    pub(super) fn reported_as(&self, number: ClassId) -> Option<Option<ClassId>> {
-        self.by_model.get(usize::from(number.0)).copied()
+    /// What becomes of the boxes of class `number` of the model.
+    pub(super) fn reporting(&self, number: ClassId) -> Reporting {
+        match self.by_model.get(usize::from(number.0)) {
+            Some(Some(class)) => Reporting::As(*class),
+            Some(None) => Reporting::LeftOut,
+            None => Reporting::NoSuchClass,
+        }
     }
 
     /// The `wanted` classes, under their own name or a synonym.
@@ -114,6 +128,12 @@ impl Classes {
     }
 }
 
+/// Those of the classes that occur: one without a name only takes a place.
+pub fn named_classes(classes: &[String]) -> Vec<&str> {
+    let names = classes.iter().map(String::as_str);
+    names.filter(|name| !name.is_empty()).collect()
+}
+
 /// The name in BDD100K of what other data sets call `name`, if they differ.
 fn synonym(name: &str) -> Option<&'static str> {
     let (_, ours) = SYNONYMS.iter().find(|(other, _)| *other == name)?;
@@ -157,15 +177,19 @@ mod tests {
         }
     }
 
+    /// The name under which a class of the model is reported.
     fn name(classes: &Classes, number: u16) -> Option<&str> {
-        let reported = classes.reported_as(ClassId(number)).unwrap()?;
-        Some(&classes.reported[usize::from(reported.0)])
+        match classes.reporting(ClassId(number)) {
+            Reporting::As(reported) => Some(&classes.reported[usize::from(reported.0)]),
+            Reporting::LeftOut => None,
+            Reporting::NoSuchClass => panic!("the model has no class {number}"),
+        }
     }
 
     fn has_own_numbers(classes: &Classes, count: u16) -> bool {
         (0..count)
             .map(ClassId)
-            .all(|number| classes.reported_as(number) == Some(Some(number)))
+            .all(|number| classes.reporting(number) == Reporting::As(number))
     }
 
     #[test]
@@ -189,9 +213,10 @@ mod tests {
     }
 
     #[test]
-    fn a_number_beyond_the_names_is_no_class_of_the_model() {
-        let two = classes(&["car", "bus"], &DetectorConfig::default());
-        assert_eq!(two.reported_as(ClassId(2)), None);
+    fn a_class_that_is_left_out_is_told_from_a_number_beyond_the_names() {
+        let one_of_two = classes(&["car", "bus"], &config(Some(&["car"]), &[]));
+        assert_eq!(one_of_two.reporting(ClassId(1)), Reporting::LeftOut);
+        assert_eq!(one_of_two.reporting(ClassId(2)), Reporting::NoSuchClass);
     }
 
     #[test]
@@ -210,7 +235,7 @@ mod tests {
         let fish = classes(&["cod", "", "", "ray"], &DetectorConfig::default());
         let reported = [0, 1, 2, 3].map(|number| name(&fish, number));
         assert_eq!(reported, [Some("cod"), None, None, Some("ray")]);
-        assert_eq!(fish.reported_as(ClassId(3)), Some(Some(ClassId(3))));
+        assert_eq!(fish.reporting(ClassId(3)), Reporting::As(ClassId(3)));
     }
 
     #[test]
@@ -220,7 +245,7 @@ mod tests {
         assert_eq!(name(&some, 0), None);
         let reported = [1, 2, 3, 4].map(|number| name(&some, number).unwrap());
         assert_eq!(reported, ["person", "bus", "bus", "pedestrian"]);
-        assert_eq!(some.reported_as(ClassId(3)), Some(Some(ClassId(0))));
+        assert_eq!(some.reporting(ClassId(3)), Reporting::As(ClassId(0)));
     }
 
     #[test]
@@ -229,6 +254,15 @@ mod tests {
         let coco = classes(&names, &config(Some(&[]), &[]));
         assert_eq!(coco.reported, names);
         assert!(has_own_numbers(&coco, 80));
+    }
+
+    #[test]
+    fn a_class_without_a_name_is_not_listed() {
+        let names = owned(&["", "car", "", "bus"]);
+        assert_eq!(named_classes(&names), ["car", "bus"]);
+        let lorry = config(Some(&["lorry"]), &[]);
+        let error = Classes::new(&names, &lorry).unwrap_err().to_string();
+        assert!(error.ends_with("it has car, bus"), "{error}");
     }
 
     #[test]

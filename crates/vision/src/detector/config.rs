@@ -1,5 +1,6 @@
 //! The `[detector]` section of the configuration.
 
+use super::class_names::listed_as;
 use super::head::HeadOverrides;
 use super::{ExecutionProvider, GpuConfig, HeadSetting, StartError};
 use crate::onnx::SessionSettings;
@@ -7,7 +8,7 @@ use crate::picture::{ColorOrder, Fit, ValueRange};
 use albireo_core::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The longest time limit that can be set: one day.
 pub(crate) const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
@@ -22,6 +23,16 @@ pub enum ClassNames {
     List(Vec<String>),
 }
 
+impl ClassNames {
+    /// The file that they are read from; `None` for a list, and for `coco` and `coco91` unless a file has that name.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) if listed_as(path).is_none() => Some(path),
+            _ => None,
+        }
+    }
+}
+
 /// The detector: its model, the head that reads the output, and the providers that run it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -33,7 +44,7 @@ pub struct DetectorConfig {
     /// Columns and rows of the input, for a model that leaves them open: the most, of which pictures get what they need.
     /// Default: those of its metadata.
     pub input_size: Option<[u32; 2]>,
-    /// The range of the input's values. Default: as the head's models are trained.
+    /// The range of the input's values, of a model that does not take bytes. Default: as the head's models are trained.
     pub range: Option<ValueRange>,
     /// The order of the input's colours. Default: as the head's models are trained.
     pub color_order: Option<ColorOrder>,

@@ -1,19 +1,21 @@
 //! Heads: pure functions from a model's output tensors to candidates. The table in `families.rs` says what each head
-//! expects; `dense.rs`, `yolo.rs`, `columns.rs`, `detr.rs` and `fastestdet.rs` are the arithmetic.
+//! expects; `dense.rs`, `yolo.rs`, `columns.rs`, `detr.rs`, `pair.rs`, `rt_detr.rs` and `fastestdet.rs` are the arithmetic.
 
 mod columns;
 mod dense;
 mod detr;
 mod families;
 mod fastestdet;
+mod pair;
 mod reading;
 mod recognise;
+mod rt_detr;
 mod suppression;
 mod unread;
 mod yolo;
 
 pub use columns::ColumnList;
-pub use recognise::{Recognised, recognise};
+pub use recognise::{Recognised, RecognisedHead, recognise, way_out};
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, HeadSetting};
@@ -56,8 +58,6 @@ pub struct Head {
     pub classes: Option<usize>,
     /// The input that the model expects.
     pub input_format: InputFormat,
-    /// True if one object may give several overlapping boxes, which the program then suppresses.
-    pub overlaps: bool,
     reader: Box<dyn ReadOutputs>,
 }
 
@@ -78,7 +78,6 @@ impl Head {
             name,
             classes: bound.classes,
             input_format,
-            overlaps: bound.overlaps,
             reader: bound.reader,
         }
     }
@@ -104,6 +103,11 @@ impl Head {
         Ok(rows.rejected)
     }
 
+    /// True if one object may have several overlapping boxes in the outputs of this run, which the program then suppresses.
+    pub fn overlaps_in(&self, outputs: &[TensorView<'_>]) -> bool {
+        self.reader.overlaps_in(outputs)
+    }
+
     /// What the outputs of a run say about this head, by rows of at least `confidence`.
     pub fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
         self.reader.evidence(outputs, confidence)
@@ -120,9 +124,11 @@ impl Head {
     }
 }
 
-/// [`Head::read`] and [`Head::evidence`] for one kind of outputs.
+/// [`Head::read`], [`Head::overlaps_in`] and [`Head::evidence`] for one kind of outputs.
 trait ReadOutputs: std::fmt::Debug + Send {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String>;
+
+    fn overlaps_in(&self, outputs: &[TensorView<'_>]) -> bool;
 
     fn evidence(&self, _outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
         Evidence::None
@@ -133,8 +139,6 @@ trait ReadOutputs: std::fmt::Debug + Send {
 struct Bound {
     /// The number of classes, if the outputs show it.
     classes: Option<usize>,
-    /// True if overlapping boxes remain to be suppressed.
-    overlaps: bool,
     reader: Box<dyn ReadOutputs>,
 }
 

@@ -13,6 +13,8 @@ pub(super) struct Heads {
     overrides: HeadOverrides,
     largest: Head,
     smaller: Vec<Head>,
+    /// What was assumed of the model, in words.
+    assumed: Vec<String>,
 }
 
 impl Heads {
@@ -34,7 +36,18 @@ impl Heads {
             overrides,
             largest,
             smaller: Vec::new(),
+            assumed: Vec::new(),
         })
+    }
+
+    /// Adds what was assumed of the model, if anything was.
+    pub(super) fn assume(&mut self, words: Option<String>) {
+        self.assumed.extend(words);
+    }
+
+    /// What was assumed of the model: it may be wrong, and nothing but a person can tell.
+    pub(super) fn assumed(&self) -> &[String] {
+        &self.assumed
     }
 
     /// The head of the largest input.

@@ -65,12 +65,14 @@ impl DetectorNetwork {
         meter: HeadMeter,
     ) -> Result<Self, StartError> {
         let begun = Instant::now();
-        let (session, heads) = opening::open(config, among)?;
+        let (session, mut heads) = opening::open(config, among)?;
         let names = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
             heads.largest(),
         )?;
+        let of_names = class_names::assumed(heads.largest(), names.len());
+        heads.assume(of_names);
         let classes = Classes::new(&names, config)?;
         let input = opening::model_input(config, session.signature(), heads.largest());
         let mut network = Self {
@@ -237,8 +239,8 @@ impl DetectorNetwork {
         self.doubt.as_deref()
     }
 
-    /// The head and the input, with what a picture of 16:9 leaves empty of it, in one line. Where that is so much that
-    /// [`InputUse`](super::InputUse) has a word for it, it is left to that.
+    /// The head and the input, with what a picture of 16:9 leaves empty of it, and what was assumed of the model, in
+    /// one line. Where so much is left empty that [`InputUse`](super::InputUse) has a word for it, it is left to that.
     pub fn description(&self) -> String {
         let InputFormat {
             size,
@@ -262,13 +264,18 @@ impl DetectorNetwork {
             }
             None => String::new(),
         };
-        format!(
+        let mut text = format!(
             "head {}, input {size}{open} ({}, {}, {})",
             self.head().as_str(),
             fit.as_str(),
             color_order.as_str(),
             value_range.as_str(),
-        )
+        );
+        for assumed in self.heads.assumed() {
+            text.push_str("; ");
+            text.push_str(assumed);
+        }
+        text
     }
 
     /// The execution provider that runs the model: not the first configured one if that does not work and a fallback is
@@ -345,7 +352,12 @@ impl Model for DetectorNetwork {
                      its output, {{ columns = \"x1 y1 x2 y2 score class\" }}",
                     self.head().as_str()
                 ),
-                None => "export it again, without half precision if it has that".to_owned(),
+                None if answered.overflows => {
+                    "export it again, without half precision if it has that".to_owned()
+                }
+                None => "its numbers are finite: its scores may not be from 0 to 1, or its boxes not in the input; \
+                         export it so that they are, or set detector.head to another"
+                    .to_owned(),
             };
             return Err(RunError::Implausible(format!(
                 "everything that the model finds is impossible (numbers that are not finite, boxes without an area, \
@@ -367,6 +379,8 @@ struct Answered {
     impossible: usize,
     /// What shows that another head is needed.
     doubt: Option<String>,
+    /// True if a number is not finite where only impossible boxes were found.
+    overflows: bool,
     to_compare: Vec<Compared>,
 }
 
@@ -392,6 +406,7 @@ impl DetectorNetwork {
             found: Vec::with_capacity(pictures.len()),
             impossible: 0,
             doubt: None,
+            overflows: false,
             to_compare: Vec::new(),
         };
         let ran = self.session.run(format.shape_of(size), size, &inputs, |outputs| {
@@ -412,6 +427,7 @@ impl DetectorNetwork {
                     head: start.elapsed(),
                 });
                 answered.impossible += usize::from(read.is_impossible);
+                answered.overflows |= read.overflows;
                 if answered.doubt.is_none() {
                     answered.doubt = read.doubt;
                 }

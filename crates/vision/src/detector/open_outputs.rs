@@ -1,16 +1,52 @@
-//! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output of
-//! a model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and call the last side of any
-//! output open because that of YOLO is; no head could be told from that, or a wrong one.
+//! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output as
+//! `[?, ?, ?]` unless something simplifies the graph, and call the last side of any output open because that of YOLO is; no
+//! head could be told from that, or a wrong one.
 
 use super::opening::{half, run_on_black};
 use crate::onnx::{OnnxSession, PictureInput, Signature, TensorSpec};
+use albireo_core::geometry::PictureSize;
 
-/// The model's signature; an output with an open last side gets the size that is the same in runs at `input` and at half of
-/// it. Only the last such size counts: it is how many numbers a row has, and how many rows there are may depend on the
-/// picture.
+/// The model's signature; outputs with open sides get the size that runs show to be how many numbers belong together. How
+/// many rows there are may depend on the picture.
 pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u32) -> Signature {
-    let mut signature = session.signature().clone();
-    if !signature.has_open_sides() || !signature.outputs.iter().any(is_open) {
+    let signature = session.signature().clone();
+    if signature.has_open_sides() {
+        of_two_runs(session, signature, input, stride)
+    } else {
+        of_one_run(session, signature, input)
+    }
+}
+
+/// Where the sides of the input are fixed, one run shows what every run has.
+fn of_one_run(
+    session: &mut OnnxSession,
+    mut signature: Signature,
+    input: PictureInput,
+) -> Signature {
+    if !signature.outputs.iter().any(has_open_side) {
+        return signature;
+    }
+    // Where it does not run the sizes stay open, and the refusal says what is known.
+    let Ok(shapes) = shapes_at(session, input) else {
+        return signature;
+    };
+    for (output, found) in signature.outputs.iter_mut().zip(&shapes) {
+        if has_open_side(output) {
+            keep_of_one_run(&mut output.shape, found, input.size);
+        }
+    }
+    signature
+}
+
+/// Where the sides of the input are open, an output with an open last side gets the last size that is the same in runs at
+/// `input` and at half of it.
+fn of_two_runs(
+    session: &mut OnnxSession,
+    mut signature: Signature,
+    input: PictureInput,
+    stride: u32,
+) -> Signature {
+    if !signature.outputs.iter().any(is_open) {
         return signature;
     }
     let smaller = PictureInput {
@@ -21,13 +57,10 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
     if smaller.size == input.size {
         return signature;
     }
-    let mut shapes_at = |input| {
-        run_on_black(session, input, |outputs| {
-            outputs.iter().map(|output| output.shape.to_vec()).collect::<Vec<_>>()
-        })
+    let Ok(all_at_largest) = shapes_at(session, input) else {
+        return signature;
     };
-    // Where it does not run the sizes stay open, and the refusal says what is known.
-    let (Ok(all_at_largest), Ok(all_at_smaller)) = (shapes_at(input), shapes_at(smaller)) else {
+    let Ok(all_at_smaller) = shapes_at(session, smaller) else {
         return signature;
     };
     let shapes = all_at_largest.iter().zip(&all_at_smaller);
@@ -37,6 +70,39 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
         }
     }
     signature
+}
+
+/// The shapes of the outputs of a run on black.
+fn shapes_at(session: &mut OnnxSession, input: PictureInput) -> Result<Vec<Vec<i64>>, String> {
+    run_on_black(session, input, |outputs| {
+        outputs.iter().map(|output| output.shape.to_vec()).collect()
+    })
+}
+
+/// Writes into the shape how many numbers belong together in a run of a model with an input of `size`: the last side, or the
+/// one before it if the last has a number for each cell. A map, whose sides are cells, is the same in every run.
+fn keep_of_one_run(shape: &mut [i64], found: &[i64], size: PictureSize) {
+    if shape.len() != found.len() {
+        return;
+    }
+    // Every head with cells has at least one for 8x8 pixels. Final boxes are fewer.
+    let cells = i64::try_from(size.pixels() / 64).unwrap_or(i64::MAX);
+    let kept = match *found {
+        [_, numbers, last] if last >= cells && numbers < last => 1..2,
+        [_, _, _] => 2..3,
+        _ => 1..found.len(),
+    };
+    for side in kept {
+        // A black picture may have nothing at all.
+        if shape[side] == -1 && found[side] > 0 {
+            shape[side] = found[side];
+        }
+    }
+}
+
+/// True if a side beside that of the batch is open, in an output of rows or maps.
+fn has_open_side(output: &TensorSpec) -> bool {
+    output.shape.len() > 2 && output.shape.iter().skip(1).any(|&side| side == -1)
 }
 
 /// Writes the last side that is the same in both runs into the shape; that of the batch does not count.
@@ -56,4 +122,33 @@ fn keep_last_equal(shape: &mut [i64], at_largest: &[i64], at_smaller: &[i64]) {
 /// True if the last side of this output is open, and there is another beside that of the batch.
 fn is_open(output: &TensorSpec) -> bool {
     output.shape.len() > 2 && output.shape.last() == Some(&-1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_run_shows_how_many_numbers_belong_together_and_not_how_many_boxes_there_are() {
+        for (declared, found, kept) in [
+            ([-1, -1, -1], [1, 84, 8400], [-1, 84, -1]),
+            ([-1, -1, 8400], [1, 84, 8400], [-1, 84, 8400]),
+            ([-1, -1, -1], [1, 8400, 85], [-1, -1, 85]),
+            ([1, -1, -1], [1, 300, 84], [1, -1, 84]),
+            ([1, -1, -1], [1, 3, 6], [1, -1, 6]),
+            ([1, -1, 6], [1, 3, 6], [1, -1, 6]),
+            ([1, -1, -1], [1, 0, 0], [1, -1, -1]),
+        ] {
+            let mut shape = declared;
+            keep_of_one_run(&mut shape, &found, PictureSize::new(640, 640));
+            assert_eq!(shape, kept, "{declared:?} {found:?}");
+        }
+    }
+
+    #[test]
+    fn one_run_shows_all_sides_of_a_map() {
+        let mut shape = [-1, -1, -1, -1];
+        keep_of_one_run(&mut shape, &[1, 85, 40, 40], PictureSize::new(640, 640));
+        assert_eq!(shape, [-1, 85, 40, 40]);
+    }
 }

@@ -1,7 +1,7 @@
 //! Opens a detector's model: finds the head that reads it, and the sizes that its input may have.
 
 use super::class_names;
-use super::head::{self, Evidence, Head};
+use super::head::{self, Evidence, Head, Recognised, RecognisedHead};
 use super::heads::Heads;
 use super::inputs::STRIDE;
 use super::open_outputs;
@@ -177,6 +177,23 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
     ))
 }
 
+/// Checks that no other range is configured for a model that takes bytes than theirs.
+fn check_range(config: &DetectorConfig, input: PictureInput) -> Result<(), StartError> {
+    match config.range {
+        Some(range) if input.takes_bytes && range != ValueRange::To255 => {
+            Err(StartError::configuration(
+                "detector.range",
+                format_args!(
+                    "is \"{}\", and {} takes bytes, from 0 to 255, and converts them itself: leave it out",
+                    range.as_str(),
+                    config.model.display()
+                ),
+            ))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The head for a model: the configured one, or the recognised one.
 fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads, StartError> {
     let signature = known_signature(config, session);
@@ -220,39 +237,58 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
         ));
     }
     let input = signature.picture_input(config.input_size()).map_err(&does_not_fit)?;
+    check_range(config, input)?;
+    let mut assumed = None;
     let setting = match name {
         HeadName::Auto => {
             let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
-            let recognised = match found.only() {
-                Some(recognised) => recognised,
-                None => {
-                    let told = run_on_black(session, input, |outputs| {
-                        found.by_values(&signature, input, outputs)
-                    });
-                    told.map_err(first_run)?.map_err(&not_recognised)?
-                }
-            };
-            HeadSetting::Named(recognised)
+            let told = told(session, &signature, input, found).map_err(first_run)?;
+            let recognised = told.map_err(&not_recognised)?;
+            assumed = recognised.assumed;
+            HeadSetting::Named(recognised.name)
         }
         _ => config.head.clone(),
     };
-    let bound = Heads::bind(
+    let mut bound = Heads::bind(
         setting.clone(),
         signature.clone(),
         input,
         config.overrides(),
     )
     .map_err(&does_not_fit)?;
-    let evidence = run_on_black(session, input, |outputs| {
-        bound.largest().evidence(outputs, LEAST_SCORE)
+    bound.assume(assumed);
+    let against = run_on_black(session, input, |outputs| {
+        let evidence = bound.largest().evidence(outputs, LEAST_SCORE);
+        let Evidence::Against(reason) = evidence else {
+            return None;
+        };
+        let way_out = head::way_out(&reason, &signature, input, names, outputs);
+        Some(format!("{reason}{way_out}"))
     });
-    match evidence.map_err(first_run)? {
-        Evidence::Against(reason) => Err(does_not_fit(format!(
-            "its shapes are those of the head `{}`, but {reason}. If you know the columns of its output, list them: \
-             detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+    match against.map_err(first_run)? {
+        Some(reason) => Err(does_not_fit(format!(
+            "its shapes are those of the head `{}`, but {reason}",
             setting.name().as_str()
         ))),
-        Evidence::For | Evidence::None => Ok(bound),
+        None => Ok(bound),
+    }
+}
+
+/// The head among `found` that the signature tells, or else a run; within, the reason if neither does.
+///
+/// # Errors
+/// If the model does not run.
+fn told(
+    session: &mut OnnxSession,
+    signature: &Signature,
+    input: PictureInput,
+    found: Recognised,
+) -> Result<Result<RecognisedHead, String>, String> {
+    match found.only(signature) {
+        Some(recognised) => Ok(Ok(recognised)),
+        None => run_on_black(session, input, |outputs| {
+            found.by_values(signature, input, outputs)
+        }),
     }
 }
 

@@ -10,7 +10,7 @@ use albireo_core::geometry::Corners;
 use parking_lot::Mutex;
 use std::fmt;
 use std::sync::Arc;
-use std::thread::JoinHandle;
+use std::thread::{Builder, JoinHandle};
 use tracing::{info, warn};
 
 /// The farthest that a side of a box may be from that of the CPU, in pixels of the model's input.
@@ -176,18 +176,28 @@ impl PrecisionProof {
 
     /// Compares what `provider` found in a picture with what the CPU finds, and returns the thread that does so: the
     /// model is loaded there once more, for one run. Does nothing for the CPU itself, without boxes, and for the
-    /// provider that was compared last.
+    /// provider that was compared last. If there is no thread to be had, the next picture is compared instead.
     pub(super) fn found(
         &self,
         provider: ExecutionProvider,
         picture: &PreparedPicture,
         found: &[Detection],
     ) -> Option<JoinHandle<()>> {
+        let thread = Builder::new().name("precision".to_owned());
+        self.found_in(thread, provider, picture, found)
+    }
+
+    /// [`found`](Self::found) with the thread to start.
+    fn found_in(
+        &self,
+        thread: Builder,
+        provider: ExecutionProvider,
+        picture: &PreparedPicture,
+        found: &[Detection],
+    ) -> Option<JoinHandle<()>> {
         if provider == ExecutionProvider::Cpu {
-            let compared_last = self.compared.lock().take();
-            if compared_last.is_some() {
-                *self.outcome.lock() = Precision::NotCompared;
-            }
+            *self.compared.lock() = None;
+            *self.outcome.lock() = Precision::NotCompared;
             return None;
         }
         if found.is_empty() {
@@ -200,14 +210,17 @@ impl PrecisionProof {
         let proof = self.clone();
         let picture = picture.copied();
         let found = found.to_vec();
-        let spawned = std::thread::Builder::new()
-            .name("precision".to_owned())
-            .spawn(move || proof.compare(provider, &picture, &found));
-        match spawned {
-            Ok(thread) => Some(thread),
+        match thread.spawn(move || proof.compare(provider, &picture, &found)) {
+            Ok(started) => Some(started),
             Err(error) => {
-                warn!(%error, "the provider could not be compared with the CPU");
-                *self.outcome.lock() = Precision::Failed(error.to_string());
+                *self.compared.lock() = None;
+                let failed = Precision::Failed(error.to_string());
+                let mut outcome = self.outcome.lock();
+                // Many pictures may come before there is a thread again.
+                if *outcome != failed {
+                    warn!(%error, "the provider could not be compared with the CPU");
+                    *outcome = failed;
+                }
                 None
             }
         }
@@ -277,6 +290,7 @@ pub fn compare_with_cpu(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detector::Preparation;
     use crate::picture::{
         ColorOrder, Fit, InputElement, InputFormat, Letterbox, Picture, TensorLayout, ValueRange,
     };
@@ -287,17 +301,20 @@ mod tests {
     /// The confidence from which boxes are reported.
     const THRESHOLD: f64 = 0.5;
 
-    /// How a picture of 1600x800 lies in an input of 400x400: in 200 of its rows.
-    fn mapping() -> InputMapping {
-        let format = InputFormat {
+    fn format() -> InputFormat {
+        InputFormat {
             size: PictureSize::new(400, 400),
             fit: Fit::Centre,
             color_order: ColorOrder::Rgb,
             value_range: ValueRange::To255,
             layout: TensorLayout::Nchw,
             element: InputElement::Float,
-        };
-        Letterbox::new(format)
+        }
+    }
+
+    /// How a picture of 1600x800 lies in an input of 400x400: in 200 of its rows.
+    fn mapping() -> InputMapping {
+        Letterbox::new(format())
             .fill(&Picture::black(PictureSize::new(1600, 800)))
             .unwrap()
     }
@@ -411,6 +428,24 @@ mod tests {
                 other => panic!("{other:?}"),
             }
         }
+    }
+
+    #[test]
+    fn a_provider_whose_comparison_could_not_begin_is_compared_on_the_next_picture() {
+        let proof = PrecisionProof::new(&DetectorConfig {
+            model: "missing.onnx".into(),
+            ..DetectorConfig::default()
+        });
+        let format = format();
+        let picture = Preparation::new(format).prepare(&Picture::black(format.size)).unwrap();
+        let boxes = [found(0.5, 0.8)];
+        // No address space has room for such a stack.
+        let too_large = Builder::new().stack_size(1 << 60);
+        let refused = proof.found_in(too_large, TensorRt, &picture, &boxes);
+        assert!(refused.is_none());
+        assert!(matches!(proof.outcome(), Precision::Failed(_)));
+        let next = proof.found(TensorRt, &picture, &boxes);
+        next.unwrap().join().unwrap();
     }
 
     #[test]

@@ -1,15 +1,16 @@
 //! Turns the model's output into detections: the head, classes, suppression, and counts of what is dropped.
 
 use super::DetectorConfig;
-use super::classes::Classes;
+use super::classes::{Classes, Reporting};
 use super::head::{Candidate, Evidence, Head, Suppression, keep_best, suppress};
 use crate::onnx::{TensorView, shape_text};
 use crate::picture::InputMapping;
 use crate::worker::RunError;
-use albireo_core::detection::Detection;
+use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::PictureSize;
 use parking_lot::Mutex;
 use std::sync::Arc;
+use tracing::warn;
 
 /// Rows and boxes of the model's output that were not reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,6 +50,8 @@ pub(super) struct ReadOut {
     pub(super) is_impossible: bool,
     /// What then shows that another head is needed.
     pub(super) doubt: Option<String>,
+    /// True if a number of the output then is not finite, as of a model that overflows in half precision.
+    pub(super) overflows: bool,
 }
 
 /// Turns the model's output into detections.
@@ -97,11 +100,13 @@ impl Reader {
         let rejected = head
             .read(outputs, self.confidence, &mut self.candidates)
             .map_err(RunError::Failed)?;
-        let mut read = self.detections(head, mapping, rejected);
-        if read.is_impossible
-            && let Evidence::Against(reason) = head.evidence(outputs, self.confidence)
-        {
-            read.doubt = Some(reason);
+        let mut read = self.detections(head.overlaps_in(outputs), mapping, rejected);
+        if read.is_impossible {
+            let mut numbers = outputs.iter().flat_map(|output| output.values);
+            read.overflows = numbers.any(|number| !number.is_finite());
+            if let Evidence::Against(reason) = head.evidence(outputs, self.confidence) {
+                read.doubt = Some(reason);
+            }
         }
         Ok(read)
     }
@@ -121,14 +126,14 @@ impl Reader {
         head.read(outputs, confidence, &mut self.candidates)?;
         self.reported.clear();
         for candidate in &self.candidates {
-            if let Some(Some(class)) = self.classes.reported_as(candidate.class) {
+            if let Reporting::As(class) = self.classes.reporting(candidate.class) {
                 self.reported.push(Candidate {
                     class,
                     ..*candidate
                 });
             }
         }
-        if head.overlaps {
+        if head.overlaps_in(outputs) {
             suppress(&mut self.reported, self.suppression);
         }
         Ok(self.mapped(mapping))
@@ -142,30 +147,38 @@ impl Reader {
             .collect()
     }
 
-    /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`.
-    fn detections(&mut self, head: &Head, mapping: InputMapping, rejected: u64) -> ReadOut {
+    /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`. If
+    /// candidates may overlap, one object keeps one of them.
+    fn detections(&mut self, overlap: bool, mapping: InputMapping, rejected: u64) -> ReadOut {
         let mut counts = HeadCounts {
             rejected,
             ..HeadCounts::default()
         };
+        let mut nameless = None;
         self.reported.clear();
         self.others.clear();
         for candidate in &self.candidates {
-            match self.classes.reported_as(candidate.class) {
-                Some(Some(class)) => self.reported.push(Candidate {
+            match self.classes.reporting(candidate.class) {
+                Reporting::As(class) => self.reported.push(Candidate {
                     class,
                     ..*candidate
                 }),
-                Some(None) => self.others.push(*candidate),
-                None => counts.unknown_class += 1,
+                Reporting::LeftOut => self.others.push(*candidate),
+                Reporting::NoSuchClass => {
+                    counts.unknown_class += 1;
+                    nameless = Some(candidate.class);
+                }
             }
         }
+        if let Some(class) = nameless {
+            self.tell_once_of(class);
+        }
         let are_all_reported = self.others.is_empty() && counts.unknown_class == 0;
-        if head.overlaps {
+        if overlap {
             suppress(&mut self.others, self.suppression);
         }
         counts.other_class = self.others.len() as u64;
-        counts.over_limit = if head.overlaps {
+        counts.over_limit = if overlap {
             suppress(&mut self.reported, self.suppression)
         } else {
             keep_best(&mut self.reported, self.suppression.most)
@@ -184,6 +197,20 @@ impl Reader {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
             detections,
             doubt: None,
+            overflows: false,
+        }
+    }
+
+    /// Says with the first box of a class without a name that there are such boxes: their number may be all that shows
+    /// that the names of the others are wrong. Call before it is counted.
+    fn tell_once_of(&self, class: ClassId) {
+        if self.meter.read().unknown_class == 0 {
+            warn!(
+                class = class.0,
+                "the model finds a class for which there is no name, and its boxes are not reported. If the numbers of its \
+                 classes begin with 1, all names are shifted by one: let detector.class_names begin with a name that does \
+                 not occur, or set it to \"coco91\" for the category numbers of COCO"
+            );
         }
     }
 }
@@ -285,6 +312,27 @@ mod tests {
             assert_eq!(read_out.detections.len(), found, "{boxes:?} {score}");
             assert_eq!(read_out.is_impossible, is_impossible, "{boxes:?} {score}");
         }
+    }
+
+    #[test]
+    fn a_class_without_a_name_is_told_once_with_what_mends_it() {
+        let shape = [1, 1, 6];
+        let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &[("output0", &shape)]);
+        let black = Picture::black(head.input_format.size);
+        let mapping = Letterbox::new(head.input_format).fill(&black).unwrap();
+        let config = DetectorConfig::default();
+        let classes = Classes::new(&["car".to_owned()], &config).unwrap();
+        let mut reader = Reader::new(classes, &config);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let subscriber = tracing_subscriber::fmt().with_writer(file.reopen().unwrap()).finish();
+        let _logging = tracing::subscriber::set_default(subscriber);
+        for class in [0.0, 1.0, 1.0] {
+            let values = [8.0, 4.0, 40.0, 20.0, 0.9, class];
+            reader.read(&head, &[view(&shape, &values)], mapping).unwrap();
+        }
+        let log = std::fs::read_to_string(&file).unwrap();
+        assert_eq!(log.matches("detector.class_names").count(), 1, "{log}");
+        assert_eq!(reader.meter.read().unknown_class, 2);
     }
 
     #[test]

@@ -1,14 +1,18 @@
 //! Says what a file is that was given as a model and is no ONNX file, by its first bytes.
 
+use super::graph::external_files;
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Component, Path};
+
+/// What a file begins with that stands for one that Git LFS did not fetch.
+const LFS_POINTER: &[u8] = b"version https://git-lfs";
 
 /// What other files begin with: the place of the bytes, the bytes, and what the file is with the way out.
 const OTHERS: [(usize, &[u8], &str); 13] = [
     (
         0,
-        b"version https://git-lfs",
+        LFS_POINTER,
         "a Git LFS pointer, the placeholder of a file that was not fetched: run `git lfs pull` in its repository, or \
          download the file itself",
     ),
@@ -147,6 +151,20 @@ pub(super) fn in_words(model: &Path, reason: &str) -> String {
              and compare its size ({reason})"
         );
     }
+    if let Some(fault) = data_fault(model, lower.contains("out of bounds")) {
+        return format!("{fault} ({reason})");
+    }
+    if lower.contains("unsupported model ir version") || lower.contains("is under development") {
+        // What stands before it are the names of functions in C++.
+        let place = reason
+            .find("Unsupported model IR version")
+            .or_else(|| reason.find("Current official support"));
+        let known = place.map_or(reason, |place| &reason[place..]);
+        return format!(
+            "it was exported for a newer ONNX than this ONNX Runtime reads: export it with a lower opset, or name a newer \
+             library in detector.onnxruntime ({known})"
+        );
+    }
     if lower.contains("efficientnms_trt") || lower.contains("batchednms") {
         return format!(
             "its suppression is a plug-in of TensorRT that ONNX Runtime does not have: export it without the plug-in \
@@ -160,6 +178,44 @@ pub(super) fn in_words(model: &Path, reason: &str) -> String {
         );
     }
     reason.to_owned()
+}
+
+/// What is wrong with the files that hold the weights of `model`, which may be too short for it; `None` if there are none, or
+/// one lies outside of its folder.
+fn data_fault(model: &Path, is_short: bool) -> Option<String> {
+    let folder = model.parent()?;
+    let names = external_files(&std::fs::read(model).ok()?);
+    let mut sizes = Vec::new();
+    for name in &names {
+        let leads_out = |part| !matches!(part, Component::Normal(_) | Component::CurDir);
+        if Path::new(name).components().any(leads_out) {
+            return None;
+        }
+        let file = folder.join(name);
+        let shown = file.display();
+        let mut head = Vec::new();
+        let Ok(data) = File::open(&file) else {
+            return Some(format!(
+                "its weights are in {shown}, which is missing or cannot be read: copy it there, too"
+            ));
+        };
+        let size = data.metadata().ok()?.len();
+        data.take(LFS_POINTER.len() as u64).read_to_end(&mut head).ok()?;
+        if head == LFS_POINTER {
+            return Some(format!(
+                "its weights are in {shown}, which is a Git LFS pointer, the placeholder of a file that was not fetched: \
+                 run `git lfs pull` in its repository, or download the file itself"
+            ));
+        }
+        sizes.push(format!("{shown} ({size} bytes)"));
+    }
+    if sizes.is_empty() || !is_short {
+        return None;
+    }
+    Some(format!(
+        "its weights are in {}, which is cut short or of another model: copy or export both again",
+        sizes.join(", ")
+    ))
 }
 
 #[cfg(test)]
@@ -193,6 +249,59 @@ mod tests {
             std::fs::write(&file, bytes).unwrap();
             let kind = other_kind(&file).unwrap();
             assert!(kind.contains(said), "{kind}");
+        }
+    }
+
+    #[test]
+    fn weights_in_another_file_that_is_missing_a_pointer_or_cut_are_named_with_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model.onnx");
+        std::fs::write(&model, b"\x0a\x08location\x12\x01w").unwrap();
+        let weights = folder.path().join("w");
+        let words = || in_words(&model, "External initializer: c0 are out of bounds");
+        let missing = words();
+        std::fs::write(&weights, b"version https://git-lfs.github.com/spec/v1\n").unwrap();
+        let pointer = words();
+        std::fs::write(&weights, [0; 7]).unwrap();
+        let cut = words();
+        for (found, said) in [
+            (missing, "missing"),
+            (pointer, "git lfs pull"),
+            (cut, "7 bytes"),
+        ] {
+            let named = weights.display().to_string();
+            assert!(found.contains(said) && found.contains(&named), "{found}");
+        }
+    }
+
+    #[test]
+    fn weights_outside_of_the_models_folder_are_not_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model.onnx");
+        std::fs::write(&model, b"\x0a\x08location\x12\x04../w").unwrap();
+        let reason = "External data path escapes model directory";
+        assert_eq!(in_words(&model, reason), reason);
+    }
+
+    #[test]
+    fn a_model_for_a_newer_onnx_is_refused_with_both_ways_out_and_without_the_librarys_code() {
+        for (reason, kept) in [
+            (
+                "failed:/src/model.cc:256 onnxruntime::Model::Model(onnx::ModelProto&&) Unsupported model IR version: 99, \
+                 max supported IR version: 13",
+                "version: 99",
+            ),
+            (
+                "failed:/src/utils.h:46 void onnxruntime::ValidateOpset(bool) Opset 99 is under development and support \
+                 for this is limited. Current official support for domain ai.onnx is till opset 26",
+                "till opset 26",
+            ),
+        ] {
+            let words = in_words(Path::new("/nowhere.onnx"), reason);
+            for part in ["a lower opset", "detector.onnxruntime", kept] {
+                assert!(words.contains(part), "{words}");
+            }
+            assert!(!words.contains("onnxruntime::"), "{words}");
         }
     }
 

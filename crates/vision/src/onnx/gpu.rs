@@ -22,7 +22,8 @@ pub struct GpuConfig {
     /// the first session that does not spin.
     pub spin: bool,
     /// True if CUDA records what a run does, once for each input it is warmed up with, and replays it: the processor starts
-    /// a recorded run in one call, and another one layer by layer. TensorRT, which merges layers, records nothing.
+    /// a recorded run in one call, and another one layer by layer, of which the log warns once for each shape. TensorRT, which
+    /// merges layers, records nothing.
     pub cuda_graph: bool,
     /// True if TensorRT may compute in half precision, normalisation of layers excepted. It does so for a model whose own
     /// weights are in half precision, too.

@@ -1,5 +1,6 @@
 //! The text in a model's file beside its graph, as Ultralytics and our own exports write it.
 
+use super::signature::is_possible;
 use albireo_core::geometry::PictureSize;
 use std::collections::BTreeMap;
 
@@ -38,7 +39,8 @@ impl Metadata {
         self.get("head") == Some("RTDETRDecoder")
     }
 
-    /// The input size of the export: `imgsz`, rows first.
+    /// The input size of the export: `imgsz`, rows first. `None` for a size that no input has: exporters write [0, 0] for one
+    /// that they do not know.
     pub fn image_size(&self) -> Option<PictureSize> {
         let text = self.get("imgsz")?.trim();
         let list = within(text, '[', ']').or_else(|| within(text, '(', ')'));
@@ -46,11 +48,12 @@ impl Metadata {
         for side in list.unwrap_or(text).split(',') {
             sides.push(side.trim().parse().ok()?);
         }
-        match *sides.as_slice() {
-            [side] => Some(PictureSize::new(side, side)),
-            [rows, columns] => Some(PictureSize::new(columns, rows)),
-            _ => None,
-        }
+        let size = match *sides.as_slice() {
+            [side] => PictureSize::new(side, side),
+            [rows, columns] => PictureSize::new(columns, rows),
+            _ => return None,
+        };
+        is_possible(size).then_some(size)
     }
 
     /// The stride of the export: sides of the input are multiples of it.
@@ -121,7 +124,7 @@ impl Literal<'_> {
                 if self.take(close) {
                     break;
                 }
-                return Err(self.expected("`,` or the end"));
+                return Err(self.expected(&format!("`,` or `{close}`")));
             }
         }
         if self.0.is_empty() {
@@ -132,6 +135,9 @@ impl Literal<'_> {
     }
 
     fn expected(&self, what: &str) -> String {
+        if self.0.is_empty() {
+            return format!("{what} is expected before the end of the text");
+        }
         let next: String = self.0.chars().take(20).collect();
         format!("{what} is expected before `{next}`")
     }
@@ -312,11 +318,18 @@ pub(super) mod tests {
     #[test]
     fn unreadable_names_are_reported_with_what_is_wrong_and_where() {
         for (text, expected) in [
-            ("", "`{` or `[` is expected before ``"),
+            ("", "`{` or `[` is expected before the end of the text"),
             ("{}", "it has no names"),
             ("{0: 'car', 2: 'bus'}", "class 1 has no name"),
             ("{0: 'car', 0: 'bus'}", "class 0 is listed twice"),
-            ("{0: 'car'", "`,` or the end is expected before ``"),
+            (
+                "{0: 'car'",
+                "`,` or `}` is expected before the end of the text",
+            ),
+            (
+                "{0: ",
+                "a quoted name is expected before the end of the text",
+            ),
             ("{0: car}", "a quoted name is expected before `car}`"),
             ("{0: 'car", "a name with an end is expected before `'car`"),
             ("{0 'car'}", "`:` is expected before `'car'}`"),
@@ -352,6 +365,9 @@ pub(super) mod tests {
             ("[384, 640)", None),
             ("a", None),
             ("[1, 2, 3]", None),
+            ("[0, 0]", None),
+            ("[640, 9000]", None),
+            ("[8000, 8000]", None),
             ("", None),
         ] {
             let expected = size.map(|(width, height)| PictureSize::new(width, height));

@@ -4,7 +4,8 @@
 use ort::memory::Allocator;
 use ort::session::{IoBinding, RunOptions, Session};
 use ort::value::{DynTensor, DynValue, TensorElementType};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
+use tracing::warn;
 
 /// The run option with the number of a graph (`onnxruntime_run_options_config_keys.h`).
 const GRAPH: &str = "gpu_graph_id";
@@ -25,6 +26,8 @@ pub(super) struct RecordedRuns {
     /// Memory of the device that runs the model.
     memory: Allocator,
     runs: HashMap<[i64; 4], RecordedRun>,
+    /// The other shapes of which the log was told.
+    warned_of: HashSet<[i64; 4]>,
 }
 
 /// One input or output of a model.
@@ -39,12 +42,29 @@ impl RecordedRuns {
         Self {
             memory,
             runs: HashMap::new(),
+            warned_of: HashSet::new(),
         }
     }
 
     /// The recorded run for pictures of `shape`.
     pub(super) fn of(&mut self, shape: [i64; 4]) -> Option<&mut RecordedRun> {
         self.runs.get_mut(&shape)
+    }
+
+    /// Warns, once for each shape, of pixels of `shape` whose run was not recorded. Before the first recording nothing is
+    /// missing yet.
+    pub(super) fn warn_of(&mut self, shape: [i64; 4]) {
+        if self.runs.is_empty() || !self.warned_of.insert(shape) {
+            return;
+        }
+        let [pictures, rows, columns, _] = shape;
+        warn!(
+            pictures,
+            rows,
+            columns,
+            "CUDA recorded no run of this shape at the start: the processor starts such runs layer by layer, as without \
+             detector.gpu.cuda_graph"
+        );
     }
 
     /// Lays out the tensors of a run for pictures of `shape`; `beside` are the other inputs, by name, the same in each

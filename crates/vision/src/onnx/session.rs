@@ -16,7 +16,7 @@ use ort::memory::Allocator;
 use ort::session::builder::SessionBuilder;
 use ort::session::{RunOptions, Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueType};
-use ort::value::{TensorValueTypeMarker, Value};
+use ort::value::{PrimitiveTensorElementType, TensorValueTypeMarker, Value};
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -174,7 +174,7 @@ impl OnnxSession {
         }
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
-            outputs: session.outputs().iter().map(spec).collect(),
+            outputs: session.outputs().iter().map(output_spec).collect(),
             metadata: metadata(&session),
         };
         let mut opened = Self {
@@ -287,22 +287,34 @@ impl OnnxSession {
         pictures: &[&InputTensor],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> ort::Result<R> {
+        if let (Some(conversion), Some(recorded)) = (&mut self.conversion, &mut self.recorded) {
+            match recorded.of(shape) {
+                Some(run) => {
+                    let converted = conversion.run(shape, self.buffers.bytes(pictures))?;
+                    run.replay(&mut self.session, &converted)?;
+                    return Ok(read_outputs(run.outputs().map(elements), read));
+                }
+                None => recorded.warn_of(shape),
+            }
+        }
+        self.run_unrecorded(shape, size, pictures, read)
+    }
+
+    fn run_unrecorded<R>(
+        &mut self,
+        shape: [i64; 4],
+        size: PictureSize,
+        pictures: &[&InputTensor],
+        read: impl FnOnce(&[TensorView<'_>]) -> R,
+    ) -> ort::Result<R> {
         let Self {
             session,
             signature,
             conversion,
-            recorded,
             unrecorded,
             buffers,
             ..
         } = self;
-        if let Some(conversion) = conversion
-            && let Some(run) = recorded.as_mut().and_then(|recorded| recorded.of(shape))
-        {
-            let converted = conversion.run(shape, buffers.bytes(pictures))?;
-            run.replay(session, &converted)?;
-            return Ok(read_outputs(run.outputs().map(elements), read));
-        }
         let element = signature.picture().map(|input| &input.element);
         let input = match conversion {
             Some(conversion) => conversion.run(shape, buffers.bytes(pictures))?.into(),
@@ -351,9 +363,10 @@ impl OnnxSession {
         size: PictureSize,
         pictures: &[&InputTensor],
     ) -> ort::Result<()> {
-        let output_shapes: Vec<Vec<i64>> = self.run_on(shape, size, pictures, |outputs| {
-            outputs.iter().map(|output| output.shape.to_vec()).collect()
-        })?;
+        let output_shapes: Vec<Vec<i64>> =
+            self.run_unrecorded(shape, size, pictures, |outputs| {
+                outputs.iter().map(|output| output.shape.to_vec()).collect()
+            })?;
         let (Some(conversion), Some(recorded)) = (&mut self.conversion, &mut self.recorded) else {
             return Err(ort::Error::new("the model takes pixels itself"));
         };
@@ -476,13 +489,23 @@ impl RunBuffers {
 /// The numbers of an input beside the picture, the same for each of `batch` pictures; `None` if it is the picture.
 fn beside(input: &TensorSpec, size: PictureSize, batch: usize) -> Option<ort::Result<DynValue>> {
     let numbers = input.beside_picture(size)?;
-    let shape = [batch, numbers.len()];
-    let all = numbers.repeat(batch);
-    let tensor = if input.element == ElementType::Int64 {
-        let whole: Vec<i64> = all.into_iter().map(|number| number as i64).collect();
-        Tensor::from_array((shape, whole)).map(Tensor::into_dyn)
-    } else {
-        Tensor::from_array((shape, all)).map(Tensor::into_dyn)
+    let mut shape = vec![numbers.len()];
+    let mut all = numbers.to_vec();
+    // Without a dimension for the batch they are there once.
+    if input.shape.len() > 1 {
+        shape.insert(0, batch);
+        all = numbers.repeat(batch);
+    }
+    let tensor = match input.element {
+        ElementType::Int64 => {
+            let whole: Vec<i64> = all.into_iter().map(|number| number as i64).collect();
+            Tensor::from_array((shape, whole)).map(Tensor::into_dyn)
+        }
+        ElementType::Int32 => {
+            let whole: Vec<i32> = all.into_iter().map(|number| number as i32).collect();
+            Tensor::from_array((shape, whole)).map(Tensor::into_dyn)
+        }
+        _ => Tensor::from_array((shape, all)).map(Tensor::into_dyn),
     };
     Some(tensor)
 }
@@ -503,13 +526,29 @@ fn elements<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> (&[i64], Co
         halves.convert_to_f32_slice(&mut values);
         return (shape, Cow::Owned(values));
     }
-    if let Ok((shape, numbers)) = output.try_extract_tensor::<i64>() {
-        return (shape, numbers.iter().map(|&number| number as f32).collect());
-    }
-    if let Ok((shape, numbers)) = output.try_extract_tensor::<i32>() {
-        return (shape, numbers.iter().map(|&number| number as f32).collect());
-    }
-    (&[], Cow::Borrowed(&[]))
+    let whole = match output.dtype().tensor_type() {
+        Some(TensorElementType::Int64) => widened(output, |number: i64| number as f32),
+        Some(TensorElementType::Int32) => widened(output, |number: i32| number as f32),
+        Some(TensorElementType::Int16) => widened(output, |number: i16| f32::from(number)),
+        Some(TensorElementType::Int8) => widened(output, |number: i8| f32::from(number)),
+        Some(TensorElementType::Uint64) => widened(output, |number: u64| number as f32),
+        Some(TensorElementType::Uint32) => widened(output, |number: u32| number as f32),
+        Some(TensorElementType::Uint16) => widened(output, |number: u16| f32::from(number)),
+        Some(TensorElementType::Uint8) => widened(output, |number: u8| f32::from(number)),
+        _ => None,
+    };
+    whole.unwrap_or((&[], Cow::Borrowed(&[])))
+}
+
+/// The shape and the elements of an output of whole numbers of this type.
+fn widened<T, V>(output: &Value<V>, as_float: impl Fn(T) -> f32) -> Option<(&[i64], Cow<'_, [f32]>)>
+where
+    T: PrimitiveTensorElementType + Copy + 'static,
+    V: TensorValueTypeMarker + ?Sized,
+{
+    let (shape, numbers) = output.try_extract_tensor::<T>().ok()?;
+    let floats = numbers.iter().map(|&number| as_float(number)).collect();
+    Some((shape, floats))
 }
 
 /// The text in the model's file beside the graph; empty if it cannot be read.
@@ -597,6 +636,15 @@ fn spec(outlet: &Outlet) -> TensorSpec {
     }
 }
 
+/// That of an output, where bytes are numbers and not pixels.
+fn output_spec(outlet: &Outlet) -> TensorSpec {
+    let mut output = spec(outlet);
+    if output.element == ElementType::Uint8 {
+        output.element = ElementType::Whole("uint8");
+    }
+    output
+}
+
 fn element_type(ty: TensorElementType) -> ElementType {
     match ty {
         TensorElementType::Float32 => ElementType::Float32,
@@ -604,7 +652,12 @@ fn element_type(ty: TensorElementType) -> ElementType {
         TensorElementType::Uint8 => ElementType::Uint8,
         TensorElementType::Int32 => ElementType::Int32,
         TensorElementType::Int64 => ElementType::Int64,
-        // Named as in ONNX: int8, bool.
+        TensorElementType::Int8 => ElementType::Whole("int8"),
+        TensorElementType::Int16 => ElementType::Whole("int16"),
+        TensorElementType::Uint16 => ElementType::Whole("uint16"),
+        TensorElementType::Uint32 => ElementType::Whole("uint32"),
+        TensorElementType::Uint64 => ElementType::Whole("uint64"),
+        // Named as in ONNX: float64, bool.
         other => ElementType::Other(format!("{other:?}").to_lowercase()),
     }
 }
@@ -710,6 +763,21 @@ mod tests {
             assert_eq!(found[0].shape[0], count as i64);
             assert_eq!(found, plain.run(&pictures).unwrap());
         }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn each_number_of_pictures_that_was_not_recorded_is_warned_of_once() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let subscriber = tracing_subscriber::fmt().with_writer(file.reopen().unwrap()).finish();
+        let _logging = tracing::subscriber::set_default(subscriber);
+        let mut recorded = Opened::recorded("yolo_open.onnx", &[2, 4]);
+        for count in [2, 1, 3, 4, 1, 3] {
+            recorded.run(&vec![one_colour([0, 0, 0]); count]).unwrap();
+        }
+        let log = std::fs::read_to_string(&file).unwrap();
+        let warnings = log.lines().filter(|line| line.contains("layer by layer"));
+        assert_eq!(warnings.count(), 2, "{log}");
     }
 
     #[test]

@@ -8,6 +8,9 @@ use std::fmt;
 /// The maximum number of pixels of an input: 200 MB as float32. A hostile file cannot ask for more.
 const MOST_PIXELS: u64 = 4096 * 4096;
 
+/// The longest side of an input.
+const LONGEST_SIDE: u32 = 8192;
+
 /// The type of a tensor's elements, as far as it matters here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ElementType {
@@ -15,12 +18,14 @@ pub enum ElementType {
     Float32,
     /// IEEE 754 binary16.
     Float16,
-    /// Bytes: unchanged pixel values.
+    /// Bytes of an input: unchanged pixel values.
     Uint8,
     /// Whole numbers of 32 bits.
     Int32,
     /// Whole numbers of 64 bits.
     Int64,
+    /// Whole numbers of any other kind, those of an output's bytes among them, by their name.
+    Whole(&'static str),
     /// Any other type, by its name.
     Other(String),
 }
@@ -86,10 +91,10 @@ impl PictureInput {
     }
 }
 
-/// An input beside the picture, by which a model learns of the picture's size.
+/// An input beside the picture, by which a model learns of the picture's size. Exporters write its numbers as whole ones or
+/// not, with a dimension for the batch or without.
 struct BesidePicture {
     name: &'static str,
-    element: ElementType,
     /// Its two numbers for an input of some columns and rows.
     numbers: fn(f32, f32) -> [f32; 2],
 }
@@ -99,18 +104,15 @@ const BESIDE_PICTURE: [BesidePicture; 3] = [
     // D-FINE, DEIM and RT-DETR of its authors.
     BesidePicture {
         name: "orig_target_sizes",
-        element: ElementType::Int64,
         numbers: |columns, rows| [columns, rows],
     },
     // PaddleDetection.
     BesidePicture {
         name: "scale_factor",
-        element: ElementType::Float32,
         numbers: |_, _| [1.0, 1.0],
     },
     BesidePicture {
         name: "im_shape",
-        element: ElementType::Float32,
         numbers: |columns, rows| [rows, columns],
     },
 ];
@@ -219,6 +221,14 @@ impl Signature {
 
     /// The only input that is a picture; all others must be known inputs beside it.
     fn only_picture(&self) -> Result<&TensorSpec, String> {
+        let is_misfit =
+            |input: &&TensorSpec| input.known_name().is_some() && !input.is_beside_picture();
+        if let Some(misfit) = self.inputs.iter().find(is_misfit) {
+            return Err(format!(
+                "what its input {misfit} should get is not known: beside a picture it takes two numbers, [1, 2] or \
+                 [2], of int32, int64 or float32"
+            ));
+        }
         let pictures: Vec<_> =
             self.inputs.iter().filter(|input| !input.is_beside_picture()).collect();
         match pictures.as_slice() {
@@ -286,13 +296,21 @@ impl TensorSpec {
 
     /// The numbers of this input beside a picture of `size`; `None` if it is no such input.
     pub(super) fn beside_picture(&self, size: PictureSize) -> Option<[f32; 2]> {
-        let [_, 2] = *self.shape.as_slice() else {
+        let known = self.known_name()?;
+        let are_two = matches!(self.shape.as_slice(), [_, 2 | -1] | [2]);
+        let are_numbers = matches!(
+            self.element,
+            ElementType::Int32 | ElementType::Int64 | ElementType::Float32
+        );
+        if !are_two || !are_numbers {
             return None;
-        };
-        let is_it =
-            |known: &&BesidePicture| self.name == known.name && self.element == known.element;
-        let beside = BESIDE_PICTURE.iter().find(is_it)?;
-        Some((beside.numbers)(size.width as f32, size.height as f32))
+        }
+        Some((known.numbers)(size.width as f32, size.height as f32))
+    }
+
+    /// The input beside the picture that has this name.
+    fn known_name(&self) -> Option<&'static BesidePicture> {
+        BESIDE_PICTURE.iter().find(|known| known.name == self.name)
     }
 
     fn is_beside_picture(&self) -> bool {
@@ -310,9 +328,17 @@ fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
         (side, _) => side,
     };
     match u32::try_from(side) {
-        Ok(side @ 1..=8192) => Ok(side),
-        _ => Err("the sides of its input are not between 1 and 8192".to_owned()),
+        Ok(side @ 1..=LONGEST_SIDE) => Ok(side),
+        _ => Err(format!(
+            "the sides of its input are not between 1 and {LONGEST_SIDE}"
+        )),
     }
+}
+
+/// True if an input can have this size.
+pub(super) fn is_possible(size: PictureSize) -> bool {
+    let is_side = |side: u32| (1..=LONGEST_SIDE).contains(&side);
+    is_side(size.width) && is_side(size.height) && size.pixels() <= MOST_PIXELS
 }
 
 impl fmt::Display for ElementType {
@@ -323,6 +349,7 @@ impl fmt::Display for ElementType {
             Self::Uint8 => "uint8",
             Self::Int32 => "int32",
             Self::Int64 => "int64",
+            Self::Whole(name) => *name,
             Self::Other(other) => other.as_str(),
         };
         f.write_str(name)
@@ -367,5 +394,57 @@ impl fmt::Display for Signature {
             plural(&self.outputs),
             list(&self.outputs)
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec(name: &str, element: ElementType, shape: &[i64]) -> TensorSpec {
+        TensorSpec {
+            name: name.to_owned(),
+            element,
+            shape: shape.to_vec(),
+        }
+    }
+
+    /// A model with an input beside its picture.
+    fn with(beside: TensorSpec) -> Signature {
+        Signature {
+            inputs: vec![
+                beside,
+                spec("images", ElementType::Float32, &[1, 3, 32, 64]),
+            ],
+            outputs: Vec::new(),
+            metadata: Metadata::default(),
+        }
+    }
+
+    #[test]
+    fn the_size_beside_a_picture_is_filled_whatever_its_exporter_writes_it_as() {
+        use ElementType::{Float32, Int32, Int64};
+        for element in [Int32, Int64, Float32] {
+            for shape in [&[1, 2][..], &[-1, 2], &[-1, -1], &[2]] {
+                let beside = spec("orig_target_sizes", element.clone(), shape);
+                let size = PictureSize::new(64, 32);
+                assert_eq!(beside.beside_picture(size), Some([64.0, 32.0]));
+                assert_eq!(with(beside).picture_input(None).unwrap().size, size);
+            }
+        }
+    }
+
+    #[test]
+    fn an_input_beside_the_picture_that_is_not_filled_is_named_with_the_forms_that_are() {
+        for (element, shape, said) in [
+            (ElementType::Float16, &[1, 2][..], "float16 [1, 2]"),
+            (ElementType::Int64, &[1, 4], "int64 [1, 4]"),
+        ] {
+            let model = with(spec("orig_target_sizes", element, shape));
+            let refusal = model.picture_input(None).unwrap_err();
+            for part in [said, "`orig_target_sizes`", "[2], of int32"] {
+                assert!(refusal.contains(part), "{refusal}");
+            }
+        }
     }
 }

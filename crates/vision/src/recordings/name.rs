@@ -52,12 +52,52 @@ pub(super) enum Piece {
     Text(String),
 }
 
+/// What a last letter behind a number says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Letter {
+    /// The camera.
+    IsMark,
+    /// The camera, if the name has a time.
+    IsMarkBehindTime,
+}
+
+/// A name that ends in a number and a letter: `FILE0001F`.
+pub(super) struct NumberedName {
+    /// Folder and name without the letter, in small letters.
+    pub before: String,
+    /// In lower case.
+    pub letter: u8,
+}
+
+/// Splits a last letter from the number before it, also with a separator between them.
+pub(super) fn numbered(path: &Path) -> Option<NumberedName> {
+    let stem = path.with_extension("").to_string_lossy().to_ascii_lowercase();
+    let letter = stem.bytes().next_back().filter(u8::is_ascii_alphabetic)?;
+    let before = &stem[..stem.len() - 1];
+    if !ends_in_number(before) {
+        return None;
+    }
+    Some(NumberedName {
+        before: before.to_owned(),
+        letter,
+    })
+}
+
+/// True if nothing but a separator follows a number.
+fn ends_in_number(text: &str) -> bool {
+    text.trim_end_matches(['_', '-']).ends_with(|c: char| c.is_ascii_digit())
+}
+
 impl FileName {
     pub(super) fn of(path: &Path) -> Self {
+        Self::read(path, Letter::IsMarkBehindTime)
+    }
+
+    pub(super) fn read(path: &Path, letter: Letter) -> Self {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         let time = time(&stem);
         let chapter = chapter(&stem);
-        let (view, mark) = view(&stem, time.is_some());
+        let (view, mark) = view(&stem, time.is_some(), letter);
         let order = match chapter {
             // The recording comes before the chapter in time, and behind it in the name.
             Some(Chapter { recording, number }) => vec![
@@ -92,7 +132,8 @@ impl FileName {
 }
 
 /// The time in a name: year to second as digits, with a separator or none between them. `2026_1120_080001_F`,
-/// `20261120_080001_NF`, `NO20261120-080001-000123F`, `2026-11-20_08-00-01-front`.
+/// `20261120_080001_NF`, `NO20261120-080001-000123F`, `2026-11-20_08-00-01-front`; or, as Nextbase writes it, with two
+/// digits of the year: `261120_080001_001_FH`, `FILE261120-080001F`.
 fn time(stem: &str) -> Option<DateTime> {
     let bytes = stem.as_bytes();
     let mut before = None;
@@ -106,7 +147,23 @@ fn time(stem: &str) -> Option<DateTime> {
     None
 }
 
-fn time_at(mut text: &str) -> Option<DateTime> {
+fn time_at(text: &str) -> Option<DateTime> {
+    short_time_at(text).or_else(|| long_time_at(text))
+}
+
+/// Six digits of a date, a separator, and six of a time, behind which there are no more.
+fn short_time_at(text: &str) -> Option<DateTime> {
+    let (date, after) = text.split_at_checked(6)?;
+    let (time, after) = after.strip_prefix(['_', '-'])?.split_at_checked(6)?;
+    number(date)?;
+    number(time)?;
+    if after.starts_with(|c: char| c.is_ascii_digit()) {
+        return None;
+    }
+    long_time_at(&format!("20{date}{time}"))
+}
+
+fn long_time_at(mut text: &str) -> Option<DateTime> {
     let mut next = |digits: usize| {
         let from = text.strip_prefix(['_', '-', '.', ' ', 'T', 'h', 'm']).unwrap_or(text);
         let (read, after) = from.split_at_checked(digits)?;
@@ -166,8 +223,9 @@ fn recording_number(text: &str) -> Option<u32> {
 }
 
 /// The camera that a file shows, and the mark in its name: a word at the end, or behind a time a letter, which another may
-/// precede for the mode of recording (`NF`, `PR`) or follow for the size (`FH`, `NFS`). Both are empty if it has none.
-fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
+/// precede for the mode of recording (`NF`, `PR`) or follow for the size (`FH`, `NFS`). Without a time it may be a single
+/// letter behind a number. Both are empty if it has none.
+fn view(stem: &str, has_time: bool, letter: Letter) -> (&'static str, &str) {
     let lower = stem.to_ascii_lowercase();
     for (word, view) in WORDS {
         if let Some(before) = lower.strip_suffix(word)
@@ -176,11 +234,13 @@ fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
             return (view, &stem[before.len()..]);
         }
     }
-    if !has_time {
-        return ("", "");
-    }
     let letters = lower.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
     let mark_begins = stem.len() - letters;
+    let is_letter_of_number = letters == 1 && ends_in_number(&stem[..mark_begins]);
+    let may_be_a_mark = has_time || (letter == Letter::IsMark && is_letter_of_number);
+    if !may_be_a_mark {
+        return ("", "");
+    }
     let view = match lower.as_bytes()[mark_begins..] {
         [letter] | [letter, b'h' | b'l'] | [_, letter] => of_letter(letter),
         [_, letter, b's'] => match of_letter(letter) {

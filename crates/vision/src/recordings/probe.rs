@@ -1,5 +1,6 @@
 //! Looks into a video file: its length and frame rate, when it was made, and whether it is whole.
 
+use super::kind::FileKind;
 use jiff::Timestamp;
 use serde::Deserialize;
 use std::fs::File;
@@ -56,6 +57,9 @@ struct ProbedTags {
 /// # Errors
 /// Why it cannot be played.
 pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
+    if let Some(other) = FileKind::of(path) {
+        return Err(other.remedy().to_owned());
+    }
     check_is_whole(path)?;
     let mut command = Command::new(ffprobe);
     command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]);
@@ -130,7 +134,10 @@ fn created_ns(time: &str) -> Option<u64> {
 
 /// Checks that a file is not empty, and that an MP4 file has its index and all its pictures; of what else is in it nothing
 /// is needed. One that is made of fragments plays to where it is cut.
-fn check_is_whole(path: &Path) -> Result<(), String> {
+///
+/// # Errors
+/// What is missing.
+pub fn check_is_whole(path: &Path) -> Result<(), String> {
     let mut file = File::open(path).map_err(|error| error.to_string())?;
     let length = file.metadata().map_err(|error| error.to_string())?.len();
     if length == 0 {

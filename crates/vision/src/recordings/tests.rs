@@ -44,6 +44,12 @@ fn minutes_and_chapters_are_in_the_order_in_which_they_were_recorded() {
             "2026-11-20_08-00-01-front.mp4",
             "2026-11-20_08-01-01-front.mp4",
         ],
+        // Nextbase: the year has two digits.
+        &[
+            "231231_235959_002_FH.MP4",
+            "240101_000059_001_FH.MP4",
+            "FILE240101-000159F.MP4",
+        ],
         // GoPro: all chapters of a recording before the next recording.
         &[
             "GX010123.MP4",
@@ -94,6 +100,21 @@ fn files_of_several_cameras_are_not_mixed_and_a_pattern_chooses() {
             "*F.MP4",
         ),
         (
+            ["240131_235959_001_FH.MP4", "240131_235959_001_RH.MP4"],
+            "1 front (240131_235959_001_FH.MP4), 1 rear (",
+            "*FH.MP4",
+        ),
+        (
+            ["FILE240131-235959F.MP4", "FILE240131-235959R.MP4"],
+            "1 front (",
+            "*F.MP4",
+        ),
+        (
+            ["FILE0001F.MP4", "FILE0001R.MP4"],
+            "1 front (FILE0001F.MP4), 1 rear (FILE0001R.MP4)",
+            "*F.MP4",
+        ),
+        (
             ["drive_front.mp4", "drive_rear.mp4"],
             "1 front (drive_front.mp4)",
             "*front.mp4",
@@ -122,6 +143,12 @@ fn files_of_several_cameras_are_not_mixed_and_a_pattern_chooses() {
 fn a_letter_is_a_mark_only_behind_a_time_and_a_word_only_if_it_is_one() {
     let folder = folder(&["plan_b.mp4", "plan_f.mp4", "waterfront.mp4"]);
     assert_eq!(listed_in(&folder).unwrap().len(), 3);
+}
+
+#[test]
+fn names_that_count_with_letters_are_of_one_camera() {
+    let folder = folder(&["scene1a.mp4", "scene1b.mp4", "scene1f.mp4", "scene2f.mp4"]);
+    assert_eq!(listed_in(&folder).unwrap().len(), 4);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The head of final boxes: outputs whose columns are the sides of a box, its score and its class, in any order. Most
 //! exports with suppression inside are of this kind, and differ only in the order of the columns.
 
+use super::families::is_cells;
 use super::reading::{Rows, candidate, count, elements, unit};
 use super::{Bound, Evidence, ReadOutputs};
 use crate::onnx::{ElementType, Signature, TensorSpec, TensorView};
@@ -244,7 +245,6 @@ pub(super) fn bind(
         } else {
             None
         },
-        overlaps: rows > MOST_BOXES,
         reader: Box::new(finished),
     })
 }
@@ -263,6 +263,17 @@ fn rows_of(spec: &TensorSpec, length: usize) -> Result<i64, String> {
             spec.name
         )),
     }
+}
+
+/// The numbers of one row.
+struct FinalBox {
+    /// In the model's own unit.
+    corners: Corners,
+    score: f32,
+    /// `None` if the number is that of no class, or the row is of another picture.
+    class: Option<ClassId>,
+    /// True if the number of the class would be a score, and the score the number of a class.
+    is_exchanged: bool,
 }
 
 /// The numbers of one run.
@@ -318,13 +329,13 @@ impl Finished {
         }
     }
 
-    /// Calls `each` with every row of the first picture that is at least as confident as `least`, or whose score is not a
-    /// number: its corners in the model's own unit, its score, and its class if that is a whole number.
+    /// Calls `each` with every row of the first picture that is at least as confident as `least`, whose score is not a
+    /// number, or whose score and class are exchanged.
     fn each_row(
         &self,
         outputs: &[TensorView<'_>],
         least: f64,
-        mut each: impl FnMut(Corners, f32, Option<ClassId>),
+        mut each: impl FnMut(FinalBox),
     ) -> Result<(), String> {
         let numbers = self.numbers(outputs)?;
         for row in 0..numbers.rows {
@@ -335,8 +346,11 @@ impl Finished {
             let score = number(self.score);
             let batch = self.batch.map_or(0.0, number);
             let is_unused = batch == -1.0;
-            // Unused rows are all 0 or -1. NaN is not skipped, so that it is counted.
-            if is_unused || f64::from(score) < least {
+            let is_exchanged = class_number(score).is_some()
+                && self.class.is_some_and(|place| is_part(number(place)));
+            // Unused rows are all 0 or -1. NaN is not skipped, so that it is counted; nor is the first class, 0, in place of
+            // a score.
+            if is_unused || (f64::from(score) < least && !is_exchanged) {
                 continue;
             }
             let (x1, x2) = Self::sides(&self.across, number);
@@ -349,7 +363,12 @@ impl Finished {
             } else {
                 Some(ClassId(0))
             };
-            each(Corners { x1, y1, x2, y2 }, score, class);
+            each(FinalBox {
+                corners: Corners { x1, y1, x2, y2 },
+                score,
+                class,
+                is_exchanged,
+            });
         }
         Ok(())
     }
@@ -358,38 +377,51 @@ impl Finished {
 impl ReadOutputs for Finished {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         let mut found = Vec::new();
-        let mut largest: f64 = 0.0;
-        self.each_row(outputs, rows.confidence, |corners, score, class| {
-            for side in [corners.x1, corners.y1, corners.x2, corners.y2] {
-                if side.is_finite() {
-                    largest = largest.max(side.abs());
-                }
-            }
-            found.push((corners, score, class));
-        })?;
-        let written_in = unit(largest, self.size);
-        for (corners, score, class) in found {
-            let in_pixels = written_in.pixels(corners);
-            rows.add(class.and_then(|class| candidate(in_pixels, class, score)));
+        self.each_row(outputs, rows.confidence, |row| found.push(row))?;
+        let sides = found.iter().map(|row| {
+            let Corners { x1, y1, x2, y2 } = row.corners;
+            [x1, y1, x2, y2]
+        });
+        let written_in = unit(sides, self.size);
+        for row in found {
+            let in_pixels = written_in.pixels(row.corners);
+            rows.add(row.class.and_then(|class| candidate(in_pixels, class, row.score)));
         }
         Ok(())
     }
 
+    /// More rows than a model has final boxes, or as many as the input has cells, are cells of which several show one object.
+    fn overlaps_in(&self, outputs: &[TensorView<'_>]) -> bool {
+        let Ok(numbers) = self.numbers(outputs) else {
+            return false;
+        };
+        let rows = numbers.rows as i64;
+        rows > MOST_BOXES || is_cells(rows, self.size)
+    }
+
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
+        let against = |reason: &str| Evidence::Against(reason.to_owned());
         let mut total = 0_u32;
+        let mut exchanged = 0_u32;
         let mut no_class = 0_u32;
         let mut no_box = 0_u32;
         let mut no_score = 0_u32;
-        let read = self.each_row(outputs, confidence, |corners, score, class| {
+        let read = self.each_row(outputs, confidence, |row| {
+            let Corners { x1, y1, x2, y2 } = row.corners;
             total += 1;
-            no_class += u32::from(class.is_none());
-            no_box += u32::from(corners.x2 <= corners.x1 || corners.y2 <= corners.y1);
-            no_score += u32::from(score > 1.001);
+            exchanged += u32::from(row.is_exchanged);
+            no_class += u32::from(row.class.is_none());
+            no_box += u32::from(x2 <= x1 || y2 <= y1);
+            no_score += u32::from(row.score > 1.001);
         });
         let most = |count: u32| 2 * count > total;
-        let against = |reason: &str| Evidence::Against(reason.to_owned());
         if read.is_err() || total == 0 {
             Evidence::None
+        } else if most(exchanged) {
+            against(
+                "its score and its class are exchanged: the column of the score holds whole numbers, and that of the class \
+                 parts of 1. List its columns with the two in each other's place",
+            )
         } else if most(no_class) {
             against(
                 "the columns of its class or batch hold something else: no whole numbers, or no 0",
@@ -402,6 +434,11 @@ impl ReadOutputs for Finished {
             Evidence::For
         }
     }
+}
+
+/// True for what a score can be, and no class: a number between 0 and 1.
+fn is_part(value: f32) -> bool {
+    value > 0.0 && value < 1.0
 }
 
 /// A class number written as a floating-point number.

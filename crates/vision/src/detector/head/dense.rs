@@ -3,7 +3,8 @@
 //! each run do: sides in pixels, as parts of the input, or as logarithms; scores as probabilities or as logits.
 
 use super::reading::{
-    Rows, Unit, around, best_class, candidate, cells, count, elements, is_score, unit,
+    CORNERS_NOT_CENTRES, Rows, Unit, are_corners, around, best_class, candidate, cells, count,
+    elements, is_score, largest_number, unit,
 };
 use super::{Evidence, ReadOutputs};
 use crate::onnx::{TensorView, shape_text};
@@ -23,8 +24,8 @@ pub(super) enum BoxForm {
     CentreInSides,
     /// Left, upper, right, lower.
     Corners,
-    /// As [`Centre`](Self::Centre), or, not decoded, as offsets in cells and logarithms of sides. The cells are those of
-    /// these strides in sequence, each row by row.
+    /// As [`Centre`](Self::Centre), in pixels or as parts of the input's sides, or, not decoded, as offsets in cells and
+    /// logarithms of sides. The cells are those of these strides in sequence, each row by row.
     PerhapsCells(&'static [u32]),
 }
 
@@ -66,6 +67,10 @@ impl<'a> Anchors<'a> {
             objectness: if has_objectness { Some(row[4]) } else { None },
             scores: &scores[first_class..],
         })
+    }
+
+    fn sides(&self) -> impl Iterator<Item = [f64; 4]> {
+        self.rows().map(|anchor| anchor.sides.map(f64::from))
     }
 }
 
@@ -121,22 +126,39 @@ impl Dense {
         }
     }
 
-    /// How the boxes of this run are written. One odd number decides nothing alone: it is as likely to be a fault.
+    /// How the boxes of this run are written: as most of them are. One odd number decides nothing alone: it is as likely to
+    /// be a fault.
     fn writing(&self, anchors: &Anchors<'_>) -> Writing {
-        let mut largest: f64 = 0.0;
-        for anchor in anchors.rows() {
-            for side in anchor.sides {
-                if side.is_finite() {
-                    largest = largest.max(f64::from(side.abs()));
-                }
+        match self.form {
+            BoxForm::PerhapsCells(strides) => self.perhaps_cells(anchors, strides),
+            // Pixels are then impossible boxes, and not taken for others.
+            BoxForm::CentreInSides => Writing::Unit(Unit::Sides(self.size)),
+            BoxForm::Centre | BoxForm::Corners => Writing::Unit(unit(anchors.sides(), self.size)),
+        }
+    }
+
+    /// [`writing`](Self::writing) of boxes that may not be decoded.
+    fn perhaps_cells(&self, anchors: &Anchors<'_>, strides: &'static [u32]) -> Writing {
+        let mut total = 0_usize;
+        let mut in_pixels = 0_usize;
+        let mut in_sides = 0_usize;
+        for (number, sides) in anchors.sides().enumerate() {
+            let Some(largest) = largest_number(sides) else {
+                continue;
+            };
+            total += 1;
+            if largest > LARGEST_LOGARITHM {
+                in_pixels += 1;
+            } else if is_near_cell(sides, strides, self.size, number) {
+                in_sides += 1;
             }
         }
-        match self.form {
-            BoxForm::PerhapsCells(strides) if largest <= LARGEST_LOGARITHM => {
-                Writing::Cells(strides)
-            }
-            BoxForm::PerhapsCells(_) => Writing::Unit(Unit::Pixels),
-            _ => Writing::Unit(unit(largest, self.size)),
+        if 2 * in_pixels > total {
+            Writing::Unit(Unit::Pixels)
+        } else if 2 * in_sides > total {
+            Writing::Unit(Unit::Sides(self.size))
+        } else {
+            Writing::Cells(strides)
         }
     }
 
@@ -154,6 +176,32 @@ impl Dense {
     }
 }
 
+/// The cell of an anchor.
+struct AnchorCell {
+    column: f64,
+    line: f64,
+    stride: f64,
+}
+
+/// The cell of anchor number `anchor`; `None` if there are fewer cells.
+fn cell_of(anchor: usize, strides: &[u32], size: PictureSize) -> Option<AnchorCell> {
+    let mut first = 0;
+    for &stride in strides {
+        let here = cells(size, &[stride]);
+        if anchor < first + here {
+            let cell = anchor - first;
+            let columns = (size.width / stride) as usize;
+            return Some(AnchorCell {
+                column: (cell % columns) as f64,
+                line: (cell / columns) as f64,
+                stride: f64::from(stride),
+            });
+        }
+        first += here;
+    }
+    None
+}
+
 /// The corners of a box that is written by its cell: offsets of the centre in cells, logarithms of the sides in cells.
 fn in_cell(
     [x, y, width, height]: [f64; 4],
@@ -161,24 +209,33 @@ fn in_cell(
     size: PictureSize,
     anchor: usize,
 ) -> Corners {
-    let mut first = 0;
-    for &stride in strides {
-        let here = cells(size, &[stride]);
-        if anchor < first + here {
-            let cell = anchor - first;
-            let columns = (size.width / stride) as usize;
-            let stride = f64::from(stride);
-            return around([
-                (x + (cell % columns) as f64) * stride,
-                (y + (cell / columns) as f64) * stride,
-                width.exp() * stride,
-                height.exp() * stride,
-            ]);
-        }
-        first += here;
-    }
-    // Not reached: there are as many anchors as cells.
-    around([f64::NAN; 4])
+    let Some(cell) = cell_of(anchor, strides, size) else {
+        // Not reached: there are as many anchors as cells.
+        return around([f64::NAN; 4]);
+    };
+    around([
+        (x + cell.column) * cell.stride,
+        (y + cell.line) * cell.stride,
+        width.exp() * cell.stride,
+        height.exp() * cell.stride,
+    ])
+}
+
+/// True if a box whose numbers are parts of the input's sides has an area and its centre at most three cells from its own
+/// cell. Offsets in cells are about the same everywhere, and so are hardly ever such parts.
+fn is_near_cell(
+    [x, y, width, height]: [f64; 4],
+    strides: &[u32],
+    size: PictureSize,
+    anchor: usize,
+) -> bool {
+    let Some(cell) = cell_of(anchor, strides, size) else {
+        return false;
+    };
+    let across = x * f64::from(size.width) / cell.stride - cell.column;
+    let down = y * f64::from(size.height) / cell.stride - cell.line;
+    let is_near = |offset: f64| (-3.0..=4.0).contains(&offset);
+    width > 0.0 && height > 0.0 && is_near(across) && is_near(down)
 }
 
 /// True if scores are logits: most of them are no probabilities. A few that are none are faults.
@@ -250,13 +307,18 @@ impl ReadOutputs for Dense {
         Ok(())
     }
 
+    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
+        true
+    }
+
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
         let Ok(anchors) = self.anchors(outputs) else {
             return Evidence::None;
         };
         let against = |reason: &str| Evidence::Against(reason.to_owned());
         let writing = self.writing(&anchors);
-        if self.form == BoxForm::CentreInSides && writing == Writing::Unit(Unit::Pixels) {
+        let is_in_sides = self.form == BoxForm::CentreInSides;
+        if is_in_sides && unit(anchors.sides(), self.size) == Unit::Pixels {
             return against("its boxes are in pixels, and not from 0 to 1");
         }
         // Logarithms of sides shorter than a cell are negative, and sides never are.
@@ -274,6 +336,24 @@ impl ReadOutputs for Dense {
                     against("the sides of its boxes are negative: it is not decoded")
                 }
             };
+        }
+        // Centre and sides in place of two corners; equal numbers decide nothing.
+        let is_reversed = |anchor: &Anchor<'_>| {
+            let [x1, y1, x2, y2] = anchor.sides;
+            x2 < x1 || y2 < y1
+        };
+        let is_corners = self.form == BoxForm::Corners;
+        if is_corners && 2 * anchors.rows().filter(is_reversed).count() > total {
+            return against(
+                "the right and lower sides of its boxes are not beyond the left and upper ones",
+            );
+        }
+        let is_of_centres = matches!(self.form, BoxForm::Centre | BoxForm::PerhapsCells(_));
+        if let Writing::Unit(unit) = writing
+            && is_of_centres
+            && are_corners(anchors.sides(), unit, self.size)
+        {
+            return against(CORNERS_NOT_CENTRES);
         }
         let mut of_a_class = 0_usize;
         let mut of_none = 0_usize;

@@ -3,9 +3,10 @@
 //! queries, so one query may give boxes of several classes; nothing is suppressed.
 
 use super::dense::sigmoid;
-use super::reading::{Rows, around, candidate, count, elements};
+use super::pair::are_shares;
+use super::reading::{Rows, around, candidate, count, elements, is_score};
 use super::suppression::keep_best;
-use super::{Bound, ReadOutputs};
+use super::{Bound, Evidence, ReadOutputs};
 use crate::onnx::{Signature, TensorSpec, TensorView};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
@@ -61,7 +62,6 @@ pub(super) fn bind(
             };
             Ok(Bound {
                 classes: Some(classes),
-                overlaps: false,
                 reader: Box::new(reader),
             })
         }
@@ -83,8 +83,7 @@ impl ReadOutputs for Detr {
         let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
         let input_width = f64::from(self.size.width);
         let input_height = f64::from(self.size.height);
-        // Some exports end with the sigmoid. Logits of a real run are mostly negative.
-        let are_probabilities = logits.iter().all(|&number| (0.0..=1.0).contains(&number));
+        let are_probabilities = are_probabilities(logits);
         let least = if are_probabilities {
             rows.confidence
         } else {
@@ -127,6 +126,53 @@ impl ReadOutputs for Detr {
         rows.candidates.append(&mut found);
         Ok(())
     }
+
+    // Each query is another object.
+    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
+        false
+    }
+
+    fn evidence(&self, outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
+        let expected = [1, self.queries, self.classes as i64];
+        let numbers = outputs.get(self.logits).map(|logits| elements(logits, &expected));
+        let Some(Ok(numbers)) = numbers else {
+            return Evidence::None;
+        };
+        let has_no_object = if are_probabilities(numbers) {
+            are_shares(numbers, self.classes)
+        } else {
+            last_wins(numbers, self.classes)
+        };
+        if has_no_object {
+            return Evidence::Against(
+                "the last of its classes wins nearly everywhere, or the scores of each box sum to 1: one class is \"no \
+                 object\" by softmax (DETR itself, YOLOS), which nothing here reads"
+                    .to_owned(),
+            );
+        }
+        Evidence::None
+    }
+}
+
+/// True if these are no logits: some exports end with the sigmoid, and logits of a real run are mostly negative. A few that
+/// are no probabilities are faults of their queries, and say nothing of the others.
+fn are_probabilities(numbers: &[f32]) -> bool {
+    let is_other = |number: &&f32| number.is_finite() && !is_score(**number);
+    10 * numbers.iter().filter(is_other).count() <= numbers.len()
+}
+
+/// True if the last class is the best of nearly every query, and more likely than not: only "no object" is everywhere.
+fn last_wins(logits: &[f32], classes: usize) -> bool {
+    let rows = logits.chunks_exact(classes);
+    let total = rows.len();
+    let is_won = |row: &&[f32]| match row.split_last() {
+        Some((last, others)) => {
+            *last > 0.0 && !others.is_empty() && others.iter().all(|other| other < last)
+        }
+        None => false,
+    };
+    let won = rows.filter(is_won).count();
+    won > 0 && 10 * won >= 9 * total
 }
 
 /// The logit of `score`: infinite for 0 and 1.

@@ -3,8 +3,9 @@
 use super::columns::{self, ColumnList, MOST_BOXES};
 use super::dense::{BoxForm, Dense, rows_with_classes};
 use super::reading::{STRIDES, can_be, cells, count};
+use super::rt_detr::RtDetr;
 use super::yolo::{BEFORE_CLASSES, Yolo};
-use super::{Bound, detr, fastestdet};
+use super::{Bound, detr, fastestdet, pair};
 use crate::detector::HeadName;
 use crate::onnx::{Signature, TensorSpec};
 use crate::picture::ColorOrder::{self, Bgr, Rgb};
@@ -42,7 +43,7 @@ pub(super) const FAMILIES: [Family; 10] = [
     },
     Family {
         name: HeadName::Yolov5,
-        looks_for: "one output [1, anchors, 5 + classes], decoded, or rows `batch x1 y1 x2 y2 class score`",
+        looks_for: "an output [1, anchors, 5 + classes], decoded, or rows `batch x1 y1 x2 y2 class score`",
         fit: Centre,
         color_order: Rgb,
         value_range: ToOne,
@@ -65,12 +66,7 @@ pub(super) const FAMILIES: [Family; 10] = [
         color_order: Rgb,
         value_range: ToOne,
         bind: bind_yolo_nas,
-        looks_other: |signature, _| match signature.outputs.as_slice() {
-            [only] if !has_name_of_yolo_nas(only) => {
-                Some("its output has another name than `graph2_flat_predictions`".to_owned())
-            }
-            _ => None,
-        },
+        looks_other: yolo_nas_looks_other,
     },
     Family {
         name: HeadName::EndToEnd,
@@ -167,7 +163,8 @@ fn are_anchors(anchors: i64, size: PictureSize) -> bool {
     YOLO_STRIDES.iter().any(of_strides)
 }
 
-fn other_anchors(anchors: i64, size: PictureSize) -> String {
+/// What is said of a number of anchors that no strides give.
+pub(super) fn other_anchors(anchors: i64, size: PictureSize) -> String {
     let all = YOLO_STRIDES.map(|strides| cells(size, strides).to_string()).join(", ");
     format!("it has {anchors} anchors, and an input of {size} has {all} (by strides)")
 }
@@ -192,7 +189,8 @@ fn with_anchors(signature: &Signature, size: PictureSize) -> Result<usize, Strin
     }
 }
 
-fn is_cells(side: i64, size: PictureSize) -> bool {
+/// True if a model with one anchor per cell can have `side` of them.
+pub(super) fn is_cells(side: i64, size: PictureSize) -> bool {
     side != -1 && YOLO_STRIDES.iter().any(|strides| can_be(side, cells(size, strides)))
 }
 
@@ -247,7 +245,6 @@ fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> 
     }
     Ok(Bound {
         classes: Some(classes),
-        overlaps: true,
         reader: Box::new(Yolo {
             size,
             output: index,
@@ -276,13 +273,39 @@ fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<St
 }
 
 fn yolov5_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
-    let output = signature.outputs.first()?;
+    let output = signature.outputs.get(decoded(signature).ok()?)?;
     match *output.shape.as_slice() {
         [_, _] if has_name_of_yolo_nas(output) => {
             Some("its output has the name of YOLO-NAS".to_owned())
         }
         [_, _] => None,
         [.., anchors, _] if !are_anchors(anchors, size) => Some(other_anchors(anchors, size)),
+        _ => None,
+    }
+}
+
+/// The index of the only output, or of the only one that is no feature map: YOLOv7 may have its maps beside it.
+fn decoded(signature: &Signature) -> Result<usize, String> {
+    let outputs = &signature.outputs;
+    if outputs.len() == 1 {
+        return Ok(0);
+    }
+    let is_no_map = |place: &usize| outputs[*place].shape.len() != 5;
+    let others: Vec<usize> = (0..outputs.len()).filter(is_no_map).collect();
+    match others.as_slice() {
+        [only] => Ok(*only),
+        _ => Err(format!("it has {} outputs instead of one", outputs.len())),
+    }
+}
+
+fn yolo_nas_looks_other(signature: &Signature, _size: PictureSize) -> Option<String> {
+    match signature.outputs.as_slice() {
+        [only] if !has_name_of_yolo_nas(only) => {
+            Some("its output has another name than `graph2_flat_predictions`".to_owned())
+        }
+        _ if pair::is_of_damo_yolo(signature) => {
+            Some("its outputs are written as DAMO-YOLO writes them".to_owned())
+        }
         _ => None,
     }
 }
@@ -304,18 +327,18 @@ fn end_to_end_looks_other(signature: &Signature, size: PictureSize) -> Option<St
     }
 }
 
-/// A head of anchors, of which several may show one object.
+/// A head of anchors.
 fn dense(reader: Dense) -> Bound {
     Bound {
         classes: Some(reader.classes),
-        overlaps: true,
         reader: Box::new(reader),
     }
 }
 
 /// Objectness and a score per class for each anchor, of which a cell has one (YOLOv6) or three; or final boxes.
 fn bind_yolov5(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
-    let output = signature.only_output()?;
+    let index = decoded(signature)?;
+    let output = signature.outputs[index].float()?;
     if output.shape.len() == 2 {
         return listed("batch x1 y1 x2 y2 class score", signature, size);
     }
@@ -326,7 +349,7 @@ fn bind_yolov5(signature: &Signature, size: PictureSize) -> Result<Bound, String
         anchors,
         classes,
         has_objectness: true,
-        boxes: 0,
+        boxes: index,
         scores: None,
     };
     Ok(dense(reader))
@@ -361,33 +384,10 @@ fn other_than_cells(cells: usize) -> String {
 }
 
 fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
-    let [first, second] = signature.outputs.as_slice() else {
-        return listed("batch x1 y1 x2 y2 score class", signature, size);
-    };
-    let is_boxes = |shape: &[i64]| matches!(shape, [1 | -1, _, 4]);
-    let (boxes, scores) = if is_boxes(&first.shape) {
-        (0, 1)
-    } else if is_boxes(&second.shape) {
-        (1, 0)
-    } else {
-        return Err("none of its outputs is [1, cells, 4]".to_owned());
-    };
-    let of_boxes = signature.outputs[boxes].float()?;
-    let (anchors, classes) = rows_with_classes(&signature.outputs[scores].float()?.shape, 0)?;
-    let is_row_per_cell = anchors == -1 || is_cells(anchors, size);
-    if of_boxes.shape.get(1) != Some(&anchors) || !is_row_per_cell {
-        return Err("its outputs do not have a row for each cell".to_owned());
+    match signature.outputs.as_slice() {
+        [first, second] => pair::bind(first, second, size),
+        _ => listed("batch x1 y1 x2 y2 score class", signature, size),
     }
-    let reader = Dense {
-        size,
-        form: BoxForm::Corners,
-        anchors,
-        classes,
-        has_objectness: false,
-        boxes,
-        scores: Some(scores),
-    };
-    Ok(dense(reader))
 }
 
 fn bind_detr(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
@@ -432,9 +432,8 @@ fn bind_rt_detr(signature: &Signature, size: PictureSize) -> Result<Bound, Strin
         boxes: 0,
         scores: None,
     };
-    // Each query is another object.
     Ok(Bound {
-        overlaps: false,
-        ..dense(reader)
+        classes: Some(classes),
+        reader: Box::new(RtDetr(reader)),
     })
 }

@@ -33,7 +33,6 @@ pub(super) fn bind(signature: &Signature, size: PictureSize) -> Result<Bound, St
     }
     Ok(Bound {
         classes: Some(classes),
-        overlaps: true,
         reader: Box::new(FastestDet { size, classes }),
     })
 }
@@ -76,6 +75,10 @@ impl ReadOutputs for FastestDet {
             }
         }
         Ok(())
+    }
+
+    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
+        true
     }
 }
 

@@ -151,14 +151,80 @@ impl Unit {
     }
 }
 
-/// The unit of boxes whose largest number is `largest`: no box of a run with boxes in pixels is all within the first two
-/// pixels, and none in sides of the input reaches far beyond it.
-pub(super) fn unit(largest: f64, size: PictureSize) -> Unit {
-    if largest <= LARGEST_SIDE {
-        Unit::Sides(size)
-    } else {
-        Unit::Pixels
+/// The unit of the boxes of one run: that of most of them. A box in pixels is hardly ever all within the first two pixels,
+/// and one in sides of the input hardly ever reaches far beyond it.
+pub(super) fn unit(boxes: impl Iterator<Item = [f64; 4]>, size: PictureSize) -> Unit {
+    let mut in_pixels = 0_usize;
+    let mut in_sides = 0_usize;
+    for largest in boxes.filter_map(largest_number) {
+        if largest > LARGEST_SIDE {
+            in_pixels += 1;
+        } else {
+            in_sides += 1;
+        }
     }
+    if in_pixels > in_sides {
+        Unit::Pixels
+    } else {
+        Unit::Sides(size)
+    }
+}
+
+/// The largest number of a box, without its sign; `None` if it does not tell how boxes are written: all are 0, as in an
+/// unused row, or one is not finite.
+pub(super) fn largest_number(sides: [f64; 4]) -> Option<f64> {
+    let mut largest = 0.0_f64;
+    for side in sides {
+        if !side.is_finite() {
+            return None;
+        }
+        largest = largest.max(side.abs());
+    }
+    if largest > 0.0 { Some(largest) } else { None }
+}
+
+/// What tells against boxes that are read as centre and sides if they [are corners](are_corners).
+pub(super) const CORNERS_NOT_CENTRES: &str = "each of its boxes is written as two corners, and not as centre and sides, as in \
+    YOLO26 and YOLOv10 before they select the best: export it with that selection";
+
+/// True if the boxes of a whole grid are two corners: the third and fourth numbers of nearly all are beyond the first and
+/// second, and grow with them. Sides can be longer than the distance of their centre, but are not the longer the farther
+/// right or down it is.
+pub(super) fn are_corners(
+    boxes: impl Iterator<Item = [f64; 4]>,
+    unit: Unit,
+    size: PictureSize,
+) -> bool {
+    let mut corners = Vec::new();
+    for sides in boxes {
+        if largest_number(sides).is_some() {
+            let [x1, y1, x2, y2] = sides;
+            corners.push(unit.pixels(Corners { x1, y1, x2, y2 }));
+        }
+    }
+    let is_in_order = |one: &&Corners| one.x1 < one.x2 && one.y1 < one.y2;
+    let in_order = corners.iter().filter(is_in_order).count();
+    let across = corners.iter().map(|one| [one.x1, one.x2]);
+    let down = corners.iter().map(|one| [one.y1, one.y2]);
+    10 * in_order > 9 * corners.len()
+        && second_grows(across, f64::from(size.width))
+        && second_grows(down, f64::from(size.height))
+}
+
+/// True if the second numbers grow with the first: from the first third of `length` to its last, by at least a third of it.
+fn second_grows(pairs: impl Iterator<Item = [f64; 2]>, length: f64) -> bool {
+    let mut early = Vec::new();
+    let mut late = Vec::new();
+    for [first, second] in pairs {
+        if first < length / 3.0 {
+            early.push(second);
+        } else if first > length * 2.0 / 3.0 {
+            late.push(second);
+        }
+    }
+    let mean = |numbers: &[f64]| numbers.iter().sum::<f64>() / numbers.len() as f64;
+    // Without a number the mean is none, and nothing has grown.
+    mean(&late) - mean(&early) > length / 3.0
 }
 
 /// The corners of a box, given its centre x, centre y, width and height.

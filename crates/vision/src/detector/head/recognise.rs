@@ -9,6 +9,50 @@ use crate::onnx::{PictureInput, Signature, TensorView};
 /// The heads that a model could need by its signature: at least one.
 pub struct Recognised(Vec<Head>);
 
+/// The head that a model needs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecognisedHead {
+    /// Its name.
+    pub name: HeadName,
+    /// What was assumed, in words, if other models have the same outputs.
+    pub assumed: Option<String>,
+}
+
+impl RecognisedHead {
+    /// The head that the outputs tell.
+    fn told(name: HeadName, signature: &Signature) -> Self {
+        let assumed = if name == HeadName::YoloNas && signature.outputs.len() == 2 {
+            Some(SHARED_BY_YOLO_NAS.to_owned())
+        } else {
+            None
+        };
+        Self { name, assumed }
+    }
+
+    /// The head that only the name of the output tells from the others that fit.
+    fn told_by_name(name: HeadName, fitting: &[HeadName]) -> Self {
+        let mut others = Vec::new();
+        for other in fitting {
+            if *other != name {
+                others.push(format!("\"{}\"", other.as_str()));
+            }
+        }
+        Self {
+            name,
+            assumed: Some(format!(
+                "only the name of its output tells it from {}: if it finds too little, set detector.head (\"yolox\" \
+                 for YOLOX, \"yolov5\" for YOLOv6)",
+                others.join(", ")
+            )),
+        }
+    }
+}
+
+/// What is said of boxes and scores in two outputs.
+const SHARED_BY_YOLO_NAS: &str = "PP-YOLOE, RTMDet, DAMO-YOLO and others may have the same two outputs: if it finds \
+                                  too little, set detector.head = \"yolo-nas\" with the range, color_order and fit \
+                                  that it wants";
+
 /// Returns the heads for a model with this signature, picture input and number of class names, if known.
 ///
 /// # Errors
@@ -56,12 +100,75 @@ pub fn recognise(
         return Err(refused(signature, input, reason));
     };
     // Heads see different numbers of classes in rows of one length, as they take different numbers of them for the box.
-    // A model without names is likely to have the classes of COCO.
-    let names = names.unwrap_or(80);
-    if heads.iter().any(|head| head.fits_names(names)) {
-        heads.retain(|head| head.fits_names(names));
+    // A model without names may have the classes of COCO, if its shapes show as many.
+    let count = names.unwrap_or(80);
+    let decides =
+        |head: &Head| head.fits_names(count) && (names.is_some() || head.classes.is_some());
+    if heads.iter().any(decides) {
+        heads.retain(|head| head.fits_names(count));
     }
     Ok(Recognised(heads))
+}
+
+/// What to do with a model of which a run shows that `reason` tells against its head, if that does not say it: name the heads
+/// that may read it, or list the columns.
+pub fn way_out(
+    reason: &str,
+    signature: &Signature,
+    input: PictureInput,
+    names: Option<usize>,
+    outputs: &[TensorView<'_>],
+) -> String {
+    let says_it = |words: &&str| reason.contains(*words);
+    if ["xport it", "ist its columns", "detector.head"].iter().any(says_it) {
+        return String::new();
+    }
+    let heads = others(signature, input, names, outputs);
+    if heads.is_empty() {
+        return ". If you know the columns of its output, list them: detector.head = { columns = \"x1 y1 x2 y2 score \
+                class\" }"
+            .to_owned();
+    }
+    let settings: Vec<_> = heads.iter().map(with_names).collect();
+    format!(
+        ". It may be read with detector.head = {}",
+        settings.join(" or ")
+    )
+}
+
+/// The heads that a run says nothing against, of those that the model looks like or that have the right number of classes
+/// for it.
+fn others(
+    signature: &Signature,
+    input: PictureInput,
+    names: Option<usize>,
+    outputs: &[TensorView<'_>],
+) -> Vec<Head> {
+    let count = names.unwrap_or(80);
+    let mut heads = Vec::new();
+    for family in &FAMILIES {
+        let Ok(head) = bind_family(family, signature, input, HeadOverrides::default()) else {
+            continue;
+        };
+        let fits = head.classes.is_some() && head.fits_names(count);
+        let may_be = fits || (family.looks_other)(signature, input.size).is_none();
+        let evidence = head.evidence(outputs, LEAST_SCORE);
+        if may_be && !matches!(evidence, Evidence::Against(_)) {
+            heads.push(head);
+        }
+    }
+    heads
+}
+
+/// The setting of a head, with the number of names that it then needs.
+fn with_names(head: &Head) -> String {
+    let name = head.name.as_str();
+    match head.classes {
+        Some(classes) => {
+            format!("\"{name}\" (for {classes} names in detector.class_names)")
+        }
+        None => format!("\"{name}\""),
+    }
 }
 
 /// The heads among `names` that a model looks like.
@@ -96,9 +203,9 @@ fn looks_like(family: &Family, signature: &Signature, input: PictureInput) -> Re
 
 impl Recognised {
     /// The head, if the signature alone tells it.
-    pub fn only(&self) -> Option<HeadName> {
+    pub fn only(&self, signature: &Signature) -> Option<RecognisedHead> {
         match self.0.as_slice() {
-            [head] => Some(head.name),
+            [head] => Some(RecognisedHead::told(head.name, signature)),
             _ => None,
         }
     }
@@ -133,7 +240,7 @@ impl Recognised {
         signature: &Signature,
         input: PictureInput,
         outputs: &[TensorView<'_>],
-    ) -> Result<HeadName, String> {
+    ) -> Result<RecognisedHead, String> {
         let mut sure = Vec::new();
         let mut names = Vec::new();
         let mut against = Vec::new();
@@ -152,21 +259,21 @@ impl Recognised {
         }
         // Evidence for one head counts more than that there is none against it.
         if let [name] = sure.as_slice() {
-            return Ok(*name);
+            return Ok(RecognisedHead::told(*name, signature));
         }
         if let [name] = names.as_slice() {
-            return Ok(*name);
+            return Ok(RecognisedHead::told(*name, signature));
         }
         if let Some(name) = by_convention(signature)
             && names.contains(&name)
         {
-            return Ok(name);
+            return Ok(RecognisedHead::told_by_name(name, &names));
         }
         if names.is_empty() {
+            let reasons = against.join("; ");
+            let way_out = way_out(&reasons, signature, input, None, outputs);
             return Err(format!(
-                "its shapes are known, and the values of its first run are not: {}. If you know the columns of its \
-                 output, set detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
-                against.join("; ")
+                "its shapes are known, and the values of its first run are not: {reasons}{way_out}"
             ));
         }
         let choices: Vec<_> = names.iter().map(|name| format!("\"{}\"", name.as_str())).collect();

@@ -5,6 +5,7 @@ use crate::onnx::{ElementType, Metadata, TensorSpec};
 use proptest::prelude::*;
 
 mod fitting;
+mod writing;
 
 fn spec(name: &str, shape: &[i64]) -> TensorSpec {
     TensorSpec {
@@ -99,11 +100,21 @@ fn assert_candidates(found: &[Candidate], expected: &[([f64; 4], u16, f32)]) {
 }
 
 #[test]
-fn final_boxes_are_not_suppressed_whatever_their_number() {
-    for boxes in [5, -1] {
-        let outputs: [(&str, &[i64]); 1] = [("output0", &[1, boxes, 6])];
-        let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &outputs);
-        assert!(!head.overlaps, "{boxes} boxes");
+fn cells_are_suppressed_and_final_boxes_are_not_whether_or_not_the_model_names_their_number() {
+    for (rows, overlap) in [(0, false), (300, false), (1001, true), (42, true)] {
+        for declared in [rows as i64, -1] {
+            let outputs: [(&str, &[i64]); 1] = [("output0", &[1, declared, 6])];
+            let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &outputs);
+            let output = TensorView {
+                shape: &[1, rows as i64, 6],
+                values: &vec![0.0; rows * 6],
+            };
+            assert_eq!(
+                head.overlaps_in(&[output]),
+                overlap,
+                "{rows} rows, {declared}"
+            );
+        }
     }
 }
 
@@ -175,6 +186,193 @@ fn detr_takes_a_query_whole_or_not_at_all() {
         assert_eq!(rejected, 1);
         assert_candidates(&found, &[([0.0, 0.0, 100.0, 100.0], 1, sigmoid(1.0))]);
     }
+}
+
+#[test]
+fn detr_reads_probabilities_as_such_beside_a_query_that_is_no_number_or_a_score_rounded_above_1() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 2, 4]), ("labels", &[1, 2, 2])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    let boxes = [[0.5, 0.5, 0.5, 0.5], [0.25, 0.5, 0.5, 1.0]];
+    for (probabilities, faults, score) in [
+        ([[0.9, 0.01], [f32::NAN, 0.02]], 1, 0.9),
+        ([[1.0005, 0.01], [0.03, 0.02]], 0, 1.0),
+    ] {
+        let (rejected, found) = read(
+            &head,
+            &[
+                (&[1, 2, 4], boxes.as_flattened()),
+                (&[1, 2, 2], probabilities.as_flattened()),
+            ],
+        );
+        assert_eq!(rejected, faults);
+        assert_candidates(&found, &[([50.0, 25.0, 150.0, 75.0], 0, score)]);
+    }
+}
+
+#[test]
+fn one_odd_number_among_the_probabilities_of_detr_does_not_turn_the_others_into_logits() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 10, 4]), ("labels", &[1, 10, 2])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    let boxes = [[0.5, 0.5, 0.5, 0.5]; 10];
+    let mut probabilities = [[0.01, 0.02]; 10];
+    probabilities[2][1] = 0.9;
+    probabilities[5][0] = 1.5;
+    let (rejected, found) = read(
+        &head,
+        &[
+            (&[1, 10, 4], boxes.as_flattened()),
+            (&[1, 10, 2], probabilities.as_flattened()),
+        ],
+    );
+    assert_eq!(rejected, 1);
+    assert_candidates(&found, &[([50.0, 25.0, 150.0, 75.0], 1, 0.9)]);
+}
+
+#[test]
+fn boxes_of_yolo_nas_that_are_not_written_as_corners_tell_against_it() {
+    let shapes: [&[i64]; 2] = [&[1, 42, 4], &[1, 42, 2]];
+    let outputs = [("boxes", shapes[0]), ("scores", shapes[1])];
+    let head = bound(HeadName::YoloNas, &[1, 3, 32, 64], &outputs);
+    for (sides, is_against) in [
+        ([10.0, 8.0, 40.0, 20.0], false),
+        ([40.0, 20.0, 10.0, 8.0], true),
+    ] {
+        let boxes = [sides; 42];
+        let outputs = [
+            TensorView {
+                shape: shapes[0],
+                values: boxes.as_flattened(),
+            },
+            TensorView {
+                shape: shapes[1],
+                values: &[0.0; 84],
+            },
+        ];
+        let evidence = head.evidence(&outputs, 0.5);
+        assert_eq!(matches!(evidence, Evidence::Against(_)), is_against);
+    }
+}
+
+#[test]
+fn yolo_nas_with_four_classes_is_read_whichever_output_comes_first() {
+    let shape: &[i64] = &[1, 42, 4];
+    let outputs = [("904", shape), ("913", shape)];
+    let head = bound(HeadName::YoloNas, &[1, 3, 32, 64], &outputs);
+    let boxes = [[10.0_f32, 8.0, 40.0, 20.0]; 42];
+    let mut scores = [[0.1_f32; 4]; 42];
+    scores[7][2] = 0.9;
+    let boxes = boxes.as_flattened();
+    let scores = scores.as_flattened();
+    for [first, second] in [[boxes, scores], [scores, boxes]] {
+        let (rejected, found) = read(&head, &[(shape, first), (shape, second)]);
+        assert_eq!(rejected, 0);
+        assert_candidates(&found, &[([10.0, 8.0, 40.0, 20.0], 2, 0.9)]);
+    }
+}
+
+#[test]
+fn one_odd_score_does_not_decide_which_output_of_yolo_nas_has_the_boxes() {
+    let shape: &[i64] = &[1, 42, 4];
+    let outputs = [("904", shape), ("913", shape)];
+    let head = bound(HeadName::YoloNas, &[1, 3, 32, 64], &outputs);
+    let boxes = [[10.0_f32, 8.0, 40.0, 20.0]; 42];
+    let mut scores = [[0.1_f32; 4]; 42];
+    scores[7][2] = 0.9;
+    scores[3][1] = 700.0;
+    let boxes = boxes.as_flattened();
+    let scores = scores.as_flattened();
+    for [first, second] in [[boxes, scores], [scores, boxes]] {
+        let (rejected, found) = read(&head, &[(shape, first), (shape, second)]);
+        assert_eq!(rejected, 1);
+        assert_candidates(&found, &[([10.0, 8.0, 40.0, 20.0], 2, 0.9)]);
+    }
+}
+
+#[test]
+fn scores_that_sum_to_1_and_rows_that_are_no_cells_tell_against_yolo_nas() {
+    let outputs: [(&str, &[i64]); 2] = [("scores", &[1, -1, 3]), ("boxes", &[1, -1, 4])];
+    let head = bound(HeadName::YoloNas, &[1, 3, 32, 64], &outputs);
+    for (rows, scores, is_against) in [
+        (42, [0.1_f32, 0.2, 0.1], false),
+        (42, [0.9, 0.06, 0.04], true),
+        (50, [0.1, 0.2, 0.1], true),
+    ] {
+        let of_scores = [1, rows as i64, 3];
+        let of_boxes = [1, rows as i64, 4];
+        let outputs = [
+            TensorView {
+                shape: &of_scores,
+                values: &scores.repeat(rows),
+            },
+            TensorView {
+                shape: &of_boxes,
+                values: &[10.0_f32, 8.0, 40.0, 20.0].repeat(rows),
+            },
+        ];
+        let evidence = head.evidence(&outputs, 0.5);
+        let found = matches!(evidence, Evidence::Against(_));
+        assert_eq!(found, is_against, "{rows} rows of {scores:?}");
+    }
+}
+
+#[test]
+fn a_class_for_no_object_by_softmax_tells_against_detr() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 4, 4]), ("labels", &[1, 4, 3])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    for (scores, is_against) in [
+        // Logits: the last class may be the best of a model with sigmoids, too.
+        ([-5.0_f32, -6.0, -4.0], false),
+        ([-5.0, -6.0, 4.0], true),
+        // Probabilities.
+        ([0.01, 0.02, 0.1], false),
+        ([0.01, 0.02, 0.97], true),
+    ] {
+        let outputs = [
+            TensorView {
+                shape: &[1, 4, 4],
+                values: &[0.5; 16],
+            },
+            TensorView {
+                shape: &[1, 4, 3],
+                values: &scores.repeat(4),
+            },
+        ];
+        let evidence = head.evidence(&outputs, 0.5);
+        let found = matches!(evidence, Evidence::Against(_));
+        assert_eq!(found, is_against, "{scores:?}");
+    }
+}
+
+#[test]
+fn rows_of_rt_detr_that_end_with_a_class_are_not_read_as_two_scores() {
+    let shape: &[i64] = &[1, 5, 6];
+    let head = bound(HeadName::RtDetr, &[1, 3, 32, 64], &[("output0", shape)]);
+    let evidence = |second_score: f32| {
+        let values = [0.5, 0.5, 0.2, 0.1, 0.9, second_score].repeat(5);
+        let output = TensorView {
+            shape,
+            values: &values,
+        };
+        head.evidence(&[output], 0.5)
+    };
+    assert_eq!(evidence(0.2), Evidence::None);
+    let Evidence::Against(reason) = evidence(1.0) else {
+        panic!("a class is read as a score");
+    };
+    assert!(reason.contains("cx cy w h score class"), "{reason}");
+}
+
+#[test]
+fn yolov5_is_read_from_its_decoded_output_beside_its_feature_maps() {
+    let map: &[i64] = &[1, 3, 2, 4, 7];
+    let decoded: &[i64] = &[1, 126, 7];
+    let outputs = [("map", map), ("output", decoded)];
+    let head = bound(HeadName::Yolov5, &[1, 3, 32, 64], &outputs);
+    let mut values = vec![0.0; 126 * 7];
+    values[3 * 7..4 * 7].copy_from_slice(&[32.0, 16.0, 20.0, 10.0, 0.9, 0.1, 0.8]);
+    let (rejected, found) = read(&head, &[(map, &[9.0; 168]), (decoded, &values)]);
+    assert_eq!(rejected, 0);
+    assert_candidates(&found, &[([22.0, 11.0, 42.0, 21.0], 1, 0.72)]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Models that no head reads by itself, each with what to do.
 
-use crate::onnx::{Signature, TensorSpec};
+use super::pair;
+use crate::onnx::{ElementType, Signature, TensorSpec};
 
 /// The reason why a model of a known kind is not read, with the way out; `None` if its kind is not known.
 pub(super) fn reason(signature: &Signature) -> Option<String> {
@@ -10,8 +11,11 @@ pub(super) fn reason(signature: &Signature) -> Option<String> {
         plug_in,
         transformers,
         mmdeploy,
+        damo_yolo,
+        final_boxes,
         training_heads,
         segmentation,
+        rows,
         classifier,
     ];
     kinds.into_iter().find_map(|kind| kind(signature))
@@ -23,7 +27,7 @@ fn transformers(signature: &Signature) -> Option<String> {
     Some(
         "its outputs have the names that every model of the DETR family has, and not how it wants its pictures. Set \
          detector.head = \"rt-detr\" for RT-DETR, D-FINE and DEIM (values from 0 to 1), or \"detr\" for those that are \
-         normalised as for ImageNet"
+         normalised as for ImageNet. Models with a class for \"no object\" by softmax (DETR itself, YOLOS) are not read"
             .to_owned(),
     )
 }
@@ -42,10 +46,81 @@ fn mmdeploy(signature: &Signature) -> Option<String> {
     )
 }
 
-/// The full name of the output that has `part` in it.
+/// DAMO-YOLO, whose outputs have the shapes of YOLO-NAS's.
+fn damo_yolo(signature: &Signature) -> Option<String> {
+    if !pair::is_of_damo_yolo(signature) {
+        return None;
+    }
+    Some(
+        "its outputs are written as DAMO-YOLO writes them: the scores first, as `output`. Set detector.head = \
+         \"yolo-nas\", detector.range = \"0..255\", and detector.fit = \"letterbox-corner\", or \"stretch\" if it was \
+         trained with `keep_ratio` off; for YOLO-NAS itself the head alone"
+            .to_owned(),
+    )
+}
+
+/// Final boxes with their scores and classes in outputs of their own, as of SSD in TensorFlow Lite.
+fn final_boxes(signature: &Signature) -> Option<String> {
+    let outputs = &signature.outputs;
+    let has_four =
+        |output: &&TensorSpec| matches!(*output.shape.as_slice(), [_, 4] | [1 | -1, _, 4]);
+    let boxes = outputs.iter().find(has_four)?;
+    let (_, rows) = boxes.shape.split_last()?;
+    let has_one = |output: &&TensorSpec| match (output.shape.as_slice(), rows) {
+        ([these], [rows]) | ([1 | -1, these], [_, rows]) => these == rows,
+        _ => false,
+    };
+    let with_one: Vec<&TensorSpec> = outputs.iter().filter(has_one).collect();
+    let find = |is_it: fn(&TensorSpec) -> bool| with_one.iter().find(|output| is_it(output));
+    let by_name = [find(is_named_score), find(is_named_class)];
+    let [scores, classes] = match (by_name, with_one.as_slice()) {
+        ([Some(scores), Some(classes)], _) => [scores, classes],
+        (_, [first, second]) if is_of_classes(second) && !is_of_classes(first) => [first, second],
+        // TensorFlow Lite writes the classes before the scores.
+        (_, [first, second]) => [second, first],
+        _ => return None,
+    };
+    let is_of_tensorflow = |output: &TensorSpec| {
+        output.name.starts_with("TFLite_") || output.name.starts_with("StatefulPartitionedCall")
+    };
+    let corners = if outputs.iter().any(is_of_tensorflow) {
+        "y1 x1 y2 x2"
+    } else {
+        "x1 y1 x2 y2"
+    };
+    Some(format!(
+        "its outputs look like final boxes with their scores and classes (SSD in TensorFlow Lite and others), and do \
+         not say how it wants its pictures. Set detector.head = {{ columns = \"{}: {corners}, {}: score, {}: class\" \
+         }}, or with another order of the sides if it has that, and detector.range, color_order and fit if they are \
+         not \"0..1\", \"rgb\" and \"letterbox\" (SSD: fit = \"stretch\")",
+        boxes.name, scores.name, classes.name
+    ))
+}
+
+/// True if the numbers of an output are those of classes, by its elements or its name.
+fn is_of_classes(output: &TensorSpec) -> bool {
+    let has_whole_numbers = matches!(
+        output.element,
+        ElementType::Int32 | ElementType::Int64 | ElementType::Whole(_)
+    );
+    has_whole_numbers || is_named_class(output)
+}
+
+fn is_named_class(output: &TensorSpec) -> bool {
+    let name = output.name.to_lowercase();
+    ["class", "label", "cls"].iter().any(|part| name.contains(part))
+}
+
+fn is_named_score(output: &TensorSpec) -> bool {
+    let name = output.name.to_lowercase();
+    ["score", "conf"].iter().any(|part| name.contains(part)) && !is_of_classes(output)
+}
+
+/// The full name of the output that is called `part`, but for what a graph adds: at the end rather than before.
 fn named<'a>(signature: &'a Signature, part: &str) -> Option<&'a str> {
-    let output = signature.outputs.iter().find(|output| output.name.contains(part));
-    output.map(|output| output.name.as_str())
+    let names = || signature.outputs.iter().map(|output| output.name.as_str());
+    let at_start = names().find(|name| name.starts_with(part));
+    at_start.or_else(|| names().find(|name| name.contains(part)))
 }
 
 /// SSD and others of TensorFlow's model zoo.
@@ -93,7 +168,7 @@ fn plug_in(signature: &Signature) -> Option<String> {
     ))
 }
 
-/// Feature maps that are not decoded: two or more with an axis for the boxes of a cell, or four outputs or more.
+/// Feature maps that are not decoded: two or more with an axis for the boxes of a cell, or four or more of any kind.
 fn training_heads(signature: &Signature) -> Option<String> {
     let is_map = |output: &TensorSpec| output.shape.len() == 5;
     if signature.outputs.iter().filter(|output| is_map(output)).count() >= 2 {
@@ -103,7 +178,8 @@ fn training_heads(signature: &Signature) -> Option<String> {
                 .to_owned(),
         );
     }
-    if signature.outputs.len() < 4 {
+    let has_axes = |output: &TensorSpec| output.shape.len() >= 3;
+    if signature.outputs.len() < 4 || !signature.outputs.iter().all(has_axes) {
         return None;
     }
     Some(format!(
@@ -124,6 +200,33 @@ fn segmentation(signature: &Signature) -> Option<String> {
         "it is a segmentation model, whose masks nothing here reads: use the detection model of the same family"
             .to_owned(),
     )
+}
+
+/// Final boxes in rows without a batch, of columns that only the exporter knows.
+fn rows(signature: &Signature) -> Option<String> {
+    let [output] = signature.outputs.as_slice() else {
+        return None;
+    };
+    let [rows, numbers] = *output.shape.as_slice() else {
+        return None;
+    };
+    // One row, or one for each picture, may be the scores of a classifier.
+    let may_be_scores = rows == 1 || (rows == -1 && has_open_batch(signature));
+    // A box and its score are five numbers.
+    if may_be_scores || numbers < 5 {
+        return None;
+    }
+    Some(format!(
+        "its output looks like rows of final boxes, with {numbers} numbers each, and does not say which they are. List \
+         them in detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}, in their order and with `_` for each that \
+         is none of these, and set detector.range, color_order and fit if they are not \"0..1\", \"rgb\" and \
+         \"letterbox\""
+    ))
+}
+
+/// True if the model takes any number of pictures.
+fn has_open_batch(signature: &Signature) -> bool {
+    signature.inputs.iter().any(|input| input.shape.first() == Some(&-1))
 }
 
 fn classifier(signature: &Signature) -> Option<String> {

@@ -1,9 +1,11 @@
 //! The arithmetic of YOLOv8 and its successors, as Ultralytics exports them: one output `[1, 4 + classes, anchors]`. The
 //! rows are centre x, centre y, width and height, then one score per class; there is no objectness.
 
-use super::ReadOutputs;
 use super::dense::{are_logits, sigmoid};
-use super::reading::{Rows, around, candidate, elements, is_score, unit};
+use super::reading::{
+    CORNERS_NOT_CENTRES, Rows, are_corners, around, candidate, elements, is_score, unit,
+};
+use super::{Evidence, ReadOutputs};
 use crate::onnx::TensorView;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
@@ -25,27 +27,49 @@ pub(super) struct Yolo {
     pub(super) anchors: i64,
 }
 
-impl ReadOutputs for Yolo {
-    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
+/// The values of one run: a row per number, with a column per anchor.
+struct NumberRows<'a> {
+    values: &'a [f32],
+    anchors: usize,
+}
+
+impl<'a> NumberRows<'a> {
+    fn row(&self, number: usize) -> &'a [f32] {
+        &self.values[number * self.anchors..][..self.anchors]
+    }
+
+    /// The box of this anchor: centre x, centre y, width, height.
+    fn sides(&self, anchor: usize) -> [f64; 4] {
+        [0, 1, 2, 3].map(|number| f64::from(self.values[number * self.anchors + anchor]))
+    }
+
+    fn boxes(&self) -> impl Iterator<Item = [f64; 4]> {
+        (0..self.anchors).map(move |anchor| self.sides(anchor))
+    }
+}
+
+impl Yolo {
+    fn rows<'a>(&self, outputs: &[TensorView<'a>]) -> Result<NumberRows<'a>, String> {
         let numbers = BEFORE_CLASSES + self.classes;
         let output = outputs
             .get(self.output)
             .ok_or_else(|| format!("the model returned {} outputs", outputs.len()))?;
         let values = elements(output, &[1, numbers as i64, self.anchors])?;
-        let anchors = values.len() / numbers;
-        let row = |number: usize| &values[number * anchors..][..anchors];
-        let sides = [row(0), row(1), row(2), row(3)];
-        let mut largest = 0.0_f32;
-        for side in sides.into_iter().flatten() {
-            if side.is_finite() {
-                largest = largest.max(side.abs());
-            }
-        }
-        let unit = unit(f64::from(largest), self.size);
-        let has_logits = are_logits(row(BEFORE_CLASSES).iter().copied());
-        for start in (0..anchors).step_by(BLOCK) {
-            let length = BLOCK.min(anchors - start);
-            let scores_of = |class: usize| &row(BEFORE_CLASSES + class)[start..][..length];
+        Ok(NumberRows {
+            values,
+            anchors: values.len() / numbers,
+        })
+    }
+}
+
+impl ReadOutputs for Yolo {
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
+        let run = self.rows(outputs)?;
+        let unit = unit(run.boxes(), self.size);
+        let has_logits = are_logits(run.row(BEFORE_CLASSES).iter().copied());
+        for start in (0..run.anchors).step_by(BLOCK) {
+            let length = BLOCK.min(run.anchors - start);
+            let scores_of = |class: usize| &run.row(BEFORE_CLASSES + class)[start..][..length];
             let by_class = (0..self.classes).map(scores_of);
             // A logit that is not finite is a fault like a probability that is none.
             let (best, sound) = if has_logits {
@@ -67,11 +91,26 @@ impl ReadOutputs for Yolo {
                 if f64::from(score) < rows.confidence {
                     continue;
                 }
-                let corners = around(sides.map(|row| f64::from(row[start + place])));
+                let corners = around(run.sides(start + place));
                 rows.add(candidate(unit.pixels(corners), ClassId(class), score));
             }
         }
         Ok(())
+    }
+
+    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
+        true
+    }
+
+    fn evidence(&self, outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
+        let Ok(run) = self.rows(outputs) else {
+            return Evidence::None;
+        };
+        let unit = unit(run.boxes(), self.size);
+        if are_corners(run.boxes(), unit, self.size) {
+            return Evidence::Against(CORNERS_NOT_CENTRES.to_owned());
+        }
+        Evidence::None
     }
 }
 

@@ -104,7 +104,8 @@ fn found(signature: &Signature, names: Option<usize>) -> Result<Recognised, Stri
 }
 
 fn recognised(signature: &Signature, names: Option<usize>) -> Result<HeadName, String> {
-    found(signature, names)?.only().ok_or_else(|| "several heads fit".to_owned())
+    let only = found(signature, names)?.only(signature);
+    only.map(|head| head.name).ok_or_else(|| "several heads fit".to_owned())
 }
 
 #[test]
@@ -176,6 +177,18 @@ fn models_are_recognised_by_their_exporters_conventions() {
     }
 }
 
+#[test]
+fn a_decoded_output_beside_feature_maps_is_that_of_yolov5() {
+    let yolov7: [(&str, &[i64]); 4] = [
+        ("output", &[1, 25200, 85]),
+        ("map8", &[1, 3, 80, 80, 85]),
+        ("map16", &[1, 3, 40, 40, 85]),
+        ("map32", &[1, 3, 20, 20, 85]),
+    ];
+    let found = recognised(&model(640, &yolov7, &[]), Some(80));
+    assert_eq!(found, Ok(HeadName::Yolov5));
+}
+
 /// What a run tells of this model if its output has this shape, begins with these rows and is 0 elsewhere.
 fn told(
     model: &Signature,
@@ -183,6 +196,15 @@ fn told(
     shape: [i64; 3],
     rows: &[&[f32]],
 ) -> Result<HeadName, String> {
+    told_with_words(model, names, shape, rows).map(|head| head.name)
+}
+
+fn told_with_words(
+    model: &Signature,
+    names: usize,
+    shape: [i64; 3],
+    rows: &[&[f32]],
+) -> Result<RecognisedHead, String> {
     let [_, count, length] = shape.map(|side| side as usize);
     let mut values = vec![0.0; count * length];
     for (row, numbers) in rows.iter().enumerate() {
@@ -202,6 +224,7 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
     let logarithms: &[f32] = &[0.5, 0.5, -0.5, -0.7, 0.9, 0.9];
     let centre: &[f32] = &[32.0, 32.0, 20.0, 10.0, 0.9, 0.8];
     let whole_class: &[f32] = &[10.0, 10.0, 30.0, 20.0, 0.9, 0.0];
+    let query: &[f32] = &[0.5, 0.5, 0.2, 0.1, 0.9, 0.1];
     for (name, shape, names, rows, expected) in [
         // Not decoded, so no YOLOv6 whatever its output is called.
         ("any", [1, 84, 6], 1, &[logarithms; 20][..], Yolox),
@@ -210,18 +233,34 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
         ("output", [1, 84, 6], 1, &[whole_class], EndToEnd),
         ("output", [1, 84, 6], 2, &[whole_class], EndToEnd),
         ("output", [1, 84, 6], 2, &[centre], Yolo),
-        (
-            "output",
-            [1, 300, 6],
-            2,
-            &[&[0.5, 0.5, 0.2, 0.1, 0.9, 0.1]],
-            RtDetr,
-        ),
+        ("output", [1, 300, 6], 2, &[query; 300], RtDetr),
         ("output", [1, 300, 6], 2, &[whole_class], EndToEnd),
+        // Nothing is found on black: no row of final boxes is used.
+        ("output", [1, 300, 6], 1, &[], EndToEnd),
+        ("output", [1, 300, 6], 2, &[], EndToEnd),
     ] {
         let head = told(&plain(64, name, &shape), names, shape, rows);
         assert_eq!(head, Ok(expected), "{name} {shape:?}");
     }
+}
+
+#[test]
+fn a_head_whose_outputs_others_share_comes_with_words_that_say_so() {
+    let pair: [(&str, &[i64]); 2] = [("913", &[1, 8400, 4]), ("904", &[1, 8400, 80])];
+    let nas = model(640, &pair, &[]);
+    let only = found(&nas, Some(80)).unwrap().only(&nas).unwrap();
+    let words = only.assumed.unwrap();
+    assert!(words.contains("detector.head = \"yolo-nas\""), "{words}");
+    let shape = [1, 84, 6];
+    let logarithms: &[f32] = &[0.5, 0.5, -0.5, -0.7, 0.9, 0.9];
+    let centre: &[f32] = &[32.0, 32.0, 20.0, 10.0, 0.9, 0.8];
+    let of_run = |rows: &[&[f32]]| {
+        let yolox = plain(64, "output", &shape);
+        told_with_words(&yolox, 1, shape, rows).unwrap().assumed
+    };
+    assert_eq!(of_run(&[logarithms; 20]), None);
+    let words = of_run(&[centre]).unwrap();
+    assert!(words.contains("from \"yolov5\""), "{words}");
 }
 
 #[test]
@@ -232,6 +271,70 @@ fn formats_that_not_even_a_run_tells_apart_are_refused_with_the_heads_to_choose_
     let refusal = told(&plain(64, "any", &shape), 1, shape, &[centre]).unwrap_err();
     for part in ["detector.head", "\"yolov5\"", "\"yolox\""] {
         assert!(refusal.contains(part), "{refusal}");
+    }
+}
+
+#[test]
+fn a_model_without_names_need_not_have_the_classes_of_coco() {
+    use HeadName::{EndToEnd, Yolov5};
+    let one_class: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.01, 0.9];
+    let run = |name: &str, shape: [i64; 3]| {
+        let unnamed = plain(640, name, &shape);
+        let values = one_class.repeat(shape[1] as usize);
+        let output = TensorView {
+            shape: &shape,
+            values: &values,
+        };
+        let input = unnamed.picture_input(None).unwrap();
+        let told = found(&unnamed, None).unwrap().by_values(&unnamed, input, &[output]);
+        told.map(|head| head.name)
+    };
+    assert_eq!(run("output0", [1, 25_200, 6]), Ok(Yolov5));
+    assert_eq!(run("outputs", [1, 8400, 6]), Ok(Yolov5));
+    let refusal = run("output0", [1, 8400, 6]).unwrap_err();
+    assert!(refusal.contains("\"yolo\", \"yolov5\""), "{refusal}");
+    // Of 80 classes that the shape shows.
+    let coco = plain(640, "output0", &[1, 300, 84]);
+    assert_eq!(recognised(&coco, None), Ok(HeadName::RtDetr));
+    let named = plain(640, "output0", &[1, 300, 6]);
+    assert_eq!(recognised(&named, Some(80)), Ok(EndToEnd));
+}
+
+#[test]
+fn a_head_that_a_run_tells_against_is_refused_with_the_head_that_may_read_the_model() {
+    // 300 is no multiple of the strides, and the model has cells for what remains.
+    let shape = [1, 84, 1905];
+    let yolo = plain(300, "output0", &shape);
+    let mut values = vec![0.0; 84 * 1905];
+    values[0] = 150.0;
+    let output = TensorView {
+        shape: &shape,
+        values: &values,
+    };
+    let input = yolo.picture_input(None).unwrap();
+    let head = fitted(HeadName::RtDetr, &yolo).unwrap();
+    let Evidence::Against(reason) = head.evidence(&[output], 1e-4) else {
+        panic!("pixels are read as parts of the input's sides");
+    };
+    let words = way_out(&reason, &yolo, input, None, &[output]);
+    assert!(
+        words.contains("detector.head = \"yolo\" (for 80 names"),
+        "{words}"
+    );
+    assert!(!words.contains("columns"), "{words}");
+    // Where nothing else reads it the columns can be listed, unless the reason has said so.
+    let zeros = vec![0.0; 20 * 9];
+    let boxes = plain(640, "output0", &[1, 20, 9]);
+    let output = TensorView {
+        shape: &[1, 20, 9],
+        values: &zeros,
+    };
+    for (reason, is_said) in [
+        ("it is something else", true),
+        ("List its columns: ..", false),
+    ] {
+        let words = way_out(reason, &boxes, input, None, &[output]);
+        assert_eq!(words.contains("columns = "), is_said, "{words}");
     }
 }
 
@@ -279,11 +382,22 @@ fn a_model_that_is_not_recognised_is_refused_with_the_reason_and_every_head_that
         ("detection_scores:0", &[1, 100]),
         ("detection_classes:0", &[1, 100]),
     ];
+    let lite: [(&str, &[i64]); 4] = [
+        ("TFLite_Detection_PostProcess", &[1, 10, 4]),
+        ("TFLite_Detection_PostProcess:1", &[1, 10]),
+        ("TFLite_Detection_PostProcess:2", &[1, 10]),
+        ("TFLite_Detection_PostProcess:3", &[1]),
+    ];
+    let damo: [(&str, &[i64]); 2] = [("output", &[1, 84, 80]), ("1117", &[1, 84, 4])];
     let maps: [(&str, &[i64]); 2] = [("a", &[1, 3, 8, 8, 85]), ("b", &[1, 3, 4, 4, 85])];
     let mut of_mmdeploy = model(64, &mmdeploy, &[]);
     of_mmdeploy.outputs[1].element = ElementType::Int64;
     for (signature, reason) in [
         (plain(64, "logits", &[1, 1000]), "classifier"),
+        (
+            signature(&[-1, 3, 64, 64], &[("logits", &[-1, 1000])]),
+            "classifier",
+        ),
         (plain(64, "x", &[1, 7, 3, 2]), "none of the models"),
         (model(64, &transformer, &[]), "\"rt-detr\" for RT-DETR"),
         (of_mmdeploy, "\"rtmdet\" for RTMDet"),
@@ -291,6 +405,11 @@ fn a_model_that_is_not_recognised_is_refused_with_the_reason_and_every_head_that
             model(64, &tensorflow, &[]),
             "detection_boxes:0: y1 x1 y2 x2",
         ),
+        (
+            model(64, &lite, &[]),
+            "TFLite_Detection_PostProcess: y1 x1 y2 x2, TFLite_Detection_PostProcess:2: score",
+        ),
+        (model(64, &damo, &[]), "as DAMO-YOLO writes them"),
         (model(64, &maps, &[]), "--grid"),
         (ultralytics("task", "segment"), "`segment`"),
         // Metadata that contradicts the shape.
@@ -300,5 +419,54 @@ fn a_model_that_is_not_recognised_is_refused_with_the_reason_and_every_head_that
         assert!(refusal.contains(reason), "{refusal}");
         let (_, looked_for) = refusal.split_once("\n  Looked for\n").unwrap();
         assert_eq!(looked_for.lines().count(), families::FAMILIES.len());
+    }
+}
+
+#[test]
+fn final_boxes_of_no_known_exporter_are_refused_with_the_list_of_their_columns() {
+    let of_suppression: [(&str, &[i64]); 4] = [
+        ("num_dets", &[1, 1]),
+        ("bboxes", &[1, 100, 4]),
+        ("scores", &[1, 100]),
+        ("labels", &[1, 100]),
+    ];
+    let detectron: [(&str, &[i64]); 4] = [
+        ("boxes", &[2, 4]),
+        ("classes", &[2]),
+        ("scores", &[2]),
+        ("image_size", &[2]),
+    ];
+    let torchvision: [(&str, &[i64]); 3] =
+        [("boxes", &[-1, 4]), ("labels", &[-1]), ("scores", &[-1])];
+    let raw: [(&str, &[i64]); 4] = [
+        ("raw_detection_boxes", &[1, 1917, 4]),
+        ("detection_boxes", &[1, 100, 4]),
+        ("detection_scores", &[1, 100]),
+        ("detection_classes", &[1, 100]),
+    ];
+    for (signature, reason) in [
+        (
+            plain(64, "output", &[-1, 16]),
+            "rows of final boxes, with 16 numbers",
+        ),
+        (
+            model(64, &of_suppression, &[]),
+            "\"bboxes: x1 y1 x2 y2, scores: score, labels: class\"",
+        ),
+        (
+            model(64, &detectron, &[]),
+            "\"boxes: x1 y1 x2 y2, scores: score, classes: class\"",
+        ),
+        (
+            model(64, &torchvision, &[]),
+            "\"boxes: x1 y1 x2 y2, scores: score, labels: class\"",
+        ),
+        (
+            model(64, &raw, &[]),
+            "\"detection_boxes: y1 x1 y2 x2, detection_scores: score",
+        ),
+    ] {
+        let refusal = recognised(&signature, None).unwrap_err();
+        assert!(refusal.contains(reason), "{refusal}");
     }
 }
