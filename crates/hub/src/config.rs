@@ -1,6 +1,7 @@
 //! The configuration of a hub: one TOML file, overridden by environment variables, checked as a whole before anything
 //! starts. Every key with its default is in `config/hub.toml`.
 
+mod machine;
 mod sections;
 #[cfg(test)]
 mod tests;

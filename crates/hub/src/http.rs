@@ -99,7 +99,8 @@ pub fn openapi() -> OpenApi {
 
 /// Returns all routes, with their description.
 pub(crate) fn router(hub: Hub) -> Router {
-    let (router, _) = described();
+    let (router, document) = described();
+    let router = http::refuse_unread_queries(router, document);
     http::with_page(router, "hub.html")
         .route("/openapi.json", get(|| async { Json(openapi()) }))
         .with_state(hub)

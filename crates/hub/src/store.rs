@@ -25,10 +25,20 @@ use parking_lot::Mutex;
 use row::{Param, Row};
 pub(crate) use sqlite::Access;
 use std::borrow::Cow;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
+
+/// The statements of a file, without its comments: in those a semicolon ends no statement.
+pub(crate) fn statements(file: &str) -> Vec<String> {
+    let code: Vec<&str> =
+        file.lines().filter(|line| !line.trim_start().starts_with("--")).collect();
+    let code = code.join("\n");
+    let parts = code.split(';').map(str::trim).filter(|part| !part.is_empty());
+    parts.map(str::to_owned).collect()
+}
 
 /// The number of connections for reading.
 const READERS: usize = 4;
@@ -74,6 +84,17 @@ struct Shared {
 impl std::fmt::Debug for Store {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.kind())
+    }
+}
+
+/// Checks that the database of SQLite can be used on this machine; a server is not asked.
+///
+/// # Errors
+/// Why not: what the file or its folder lacks.
+pub fn check_here(config: &DatabaseConfig) -> Result<(), StoreError> {
+    match DatabaseKind::of(&config.url) {
+        DatabaseKind::Sqlite => file::check_here(Path::new(sqlite::file(&config.url))),
+        DatabaseKind::Postgres => Ok(()),
     }
 }
 
@@ -232,5 +253,17 @@ async fn blocking<T: Send + 'static>(
         Err(error) => Err(StoreError::Unavailable(format!(
             "the task that uses the database failed: {error}"
         ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_semicolon_in_a_comment_ends_no_statement() {
+        let file = "-- All go; none stay.\nDELETE FROM a\n  -- old; new\n  WHERE b;\n\n-- And c.\nDELETE FROM c;\n";
+        let found = statements(file);
+        assert_eq!(found, ["DELETE FROM a\n  WHERE b", "DELETE FROM c"]);
     }
 }

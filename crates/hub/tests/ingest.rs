@@ -2,7 +2,7 @@
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, Reply, YESTERDAY, assert_has, batch, batch_of, config, id, now_ns, on_both,
+    Hub, Reply, YESTERDAY, assert_has, batch, batch_of, config, id, now_ns, number, on_both, script,
 };
 use albireo_wire::{BatchCompression, RefusalReason, ReportBatch};
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
@@ -192,6 +192,39 @@ async fn ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id
 }
 
 on_both!(ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id);
+
+/// Old events with numbers far apart, behind one of a clock that was ahead.
+const OLD_EVENTS: &str = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 2500) \
+     INSERT INTO events (id, at_ms, kind, detail) SELECT i * 2000, i, 'gap', '{}' FROM n; \
+     INSERT INTO events (id, at_ms, kind, detail) VALUES (0, 4102444800000, 'gap', '{}')";
+
+async fn old_rows_are_deleted_without_a_pause_however_far_apart_their_numbers_are(database: &str) {
+    use albireo_hub::ingest::Recorder;
+    use albireo_hub::store::Store;
+    use albireo_service::clock::{DAY_MS, Now};
+    let configured = config(database);
+    let store = Store::open(&configured.database).await.unwrap();
+    script(database, OLD_EVENTS).await;
+    let deleting = tokio::task::spawn_blocking(move || {
+        let begin = Now::system();
+        let mut recorder = Recorder::new(&store, &configured.history, begin);
+        // The clock is believed after a day.
+        let now = Now {
+            at: begin.at + std::time::Duration::from_secs(86_400),
+            unix_ms: begin.unix_ms + DAY_MS,
+            ..begin
+        };
+        // Each deletes at most a thousand rows.
+        for _ in 0..3 {
+            recorder.record(&[], &[], now).unwrap();
+        }
+    });
+    deleting.await.unwrap();
+    let left = number(database, "SELECT count(*) FROM events").await;
+    assert_eq!(left, 1, "the one that is not old");
+}
+
+on_both!(old_rows_are_deleted_without_a_pause_however_far_apart_their_numbers_are);
 
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]

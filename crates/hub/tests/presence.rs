@@ -1,10 +1,10 @@
 //! The hub knows which nodes exist and their state.
 
 use crate::support::{
-    Hub, assert_contains, assert_has, free_port, full_status, names, open, status,
+    Hub, Reply, assert_contains, assert_has, batch, free_port, full_status, names, open, status,
 };
 use albireo_service::config::ZenohMode;
-use albireo_wire::RevisionMessage;
+use albireo_wire::{BatchCompression, CameraStatus, MOST_CAMERAS, RevisionMessage};
 use rstest::rstest;
 use serde_json::json;
 use std::time::Duration;
@@ -55,6 +55,49 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
     for key in ["state", "why", "since_ms", "status"] {
         assert_eq!(after[key], before[key], "{key}");
     }
+    hub.stop().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_that_no_node_may_have_is_refused_and_counted_and_the_sender_learns_why() {
+    let hub = Hub::fresh().await;
+    let too_long = "n".repeat(65);
+    for name in ["all", "..", too_long.as_str()] {
+        hub.put_status(name, &full_status(10, 0, &[])).await;
+        let payload = batch(name, 1..=1).to_payload(BatchCompression::Best).unwrap();
+        match hub.send(name, payload).await {
+            Reply::Refused(refusal) => assert_contains(&refusal.detail, &["node name"]),
+            reply => panic!("{name}: {reply:?}"),
+        }
+    }
+    hub.put_status("car-1", &full_status(11, 0, &[])).await;
+    hub.until_state("car-1", "online").await;
+    let page = hub.get("/api/v1/nodes").await;
+    assert_eq!(names(&page), ["car-1"]);
+    hub.assert_metrics(&["albireo_hub_statuses_unreadable_total 3\n"]).await;
+    hub.stop().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_status_of_as_many_cameras_as_a_node_may_have_is_read_and_a_larger_is_counted() {
+    let hub = Hub::fresh().await;
+    let with_cameras = |run: u32, cameras: usize| {
+        let mut message = full_status(run, 0, &[]);
+        let camera = json!({"name": "c".repeat(64), "state": "live", "threshold_source": "hub"});
+        let camera: CameraStatus = serde_json::from_value(camera).unwrap();
+        message.full.as_mut().unwrap().cameras = vec![camera; cameras];
+        message
+    };
+    hub.put_status("car-1", &with_cameras(10, 20 * MOST_CAMERAS)).await;
+    hub.put_status("car-2", &with_cameras(11, MOST_CAMERAS)).await;
+    let node = hub.until_state("car-2", "online").await;
+    let cameras = node["status"]["cameras"].as_array().unwrap();
+    assert_eq!(cameras.len(), MOST_CAMERAS);
+    let page = hub.get("/api/v1/nodes").await;
+    assert_eq!(names(&page), ["car-2"]);
+    hub.assert_metrics(&["albireo_hub_statuses_unreadable_total 1\n"]).await;
     hub.stop().await;
 }
 

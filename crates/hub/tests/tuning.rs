@@ -2,13 +2,21 @@
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, assert_contains, assert_has, config, full_status, names, on_both, sqlite,
+    Hub, assert_contains, assert_has, config, full_status, names, number, on_both, sqlite,
 };
+use albireo_hub::config::{PresenceConfig, TuningConfig};
+use albireo_hub::presence::Fleet;
+use albireo_hub::store::Store;
+use albireo_hub::tuning::run::{Command, Kind};
+use albireo_hub::tuning::{DesiredSettings, Tuner};
+use albireo_service::clock::Now;
 use albireo_service::config::{NamedToken, Role, Token};
 use albireo_simulate::Options;
+use albireo_wire::Threshold;
 use reqwest::{Method, Response, StatusCode};
 use rstest::rstest;
 use serde_json::{Value, json};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -291,6 +299,16 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     // A node in a rollout cannot be changed by another request.
     let other = json!({"u": 1e-4, "select": ["sim-000002"]});
     put(&hub, other, json!({"refused": 1})).await;
+    let refused = StatusCode::UNPROCESSABLE_ENTITY;
+    let second = send(
+        &hub,
+        Method::POST,
+        "/api/v1/rollouts",
+        rollout(1e-4),
+        refused,
+    )
+    .await;
+    assert_contains(&second["detail"], &["20: takes part in rollout 1"]);
     let returned = ended(&hub, "/api/v1/rollouts/1").await;
     assert_eq!(returned["phase"], "returned", "{returned}");
     let judged = returned["record"]
@@ -414,6 +432,63 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
         hub.stop().await;
     }
 }
+
+/// The tuner of one of several hubs on a database, which all know this node.
+async fn tuner(store: &Store, driver: &str) -> Tuner {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let mut status = full_status(10, 0, &[]);
+    let camera = json!({
+        "name": "front", "state": "live", "threshold": {"name": "u", "value": 3e-4}, "threshold_source": "hub",
+    });
+    let cameras = serde_json::from_value(json!([camera])).unwrap();
+    status.full.as_mut().unwrap().cameras = cameras;
+    fleet.apply_status("car-1", status, Now::system());
+    let (desired, _notices) = DesiredSettings::new();
+    let tuner = Tuner::open(
+        store.clone(),
+        Arc::new(fleet),
+        Arc::new(desired),
+        TuningConfig::default(),
+        driver.to_owned(),
+    );
+    tuner.await.unwrap()
+}
+
+async fn a_hub_that_lost_its_claim_to_another_is_told_so_and_changes_nothing(database: &str) {
+    let store = Store::open(&config(database).database).await.unwrap();
+    let one = tuner(&store, "one").await;
+    let two = tuner(&store, "two").await;
+    let mut now = Now::system().unix_ms;
+    // Before the other hub has ended the rollout, and after that.
+    for has_ended in [false, true] {
+        let kind = Kind::Rollout {
+            to: Threshold::new("u", 5e-4),
+            plan: serde_json::from_value(json!({"stages": ["all"]})).unwrap(),
+        };
+        let id = one.begin(kind, "ops", now).await.unwrap().id;
+        // The first hub stands still for longer than its claim lasts.
+        now += 30_000;
+        two.drive(now).await.unwrap();
+        if has_ended {
+            two.command("rollout", id, Command::Stop, "ops", now).await.unwrap();
+        }
+        for command in [Command::Pause, Command::Stop] {
+            let refused = one.command("rollout", id, command, "ops", now).await;
+            let problem = serde_json::to_value(refused.unwrap_err()).unwrap();
+            assert_eq!(problem["status"], 409, "{problem}");
+            assert_contains(&problem["detail"], &["driven by another hub"]);
+        }
+        if !has_ended {
+            two.command("rollout", id, Command::Stop, "ops", now).await.unwrap();
+        }
+        now += 30_000;
+    }
+    // What has ended has not begun again.
+    let open = number(database, "SELECT count(*) FROM runs WHERE ended_ms IS NULL");
+    assert_eq!(open.await, 0);
+}
+
+on_both!(a_hub_that_lost_its_claim_to_another_is_told_so_and_changes_nothing);
 
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]

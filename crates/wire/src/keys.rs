@@ -28,6 +28,35 @@ pub fn check_segment(what: &str, name: &str) -> Result<(), KeyError> {
     }
 }
 
+/// Longest name of a node, bytes: it is the first column of every table, and a part of every key.
+const LONGEST_NODE_NAME: usize = 64;
+
+/// Checks that `name` can be the name of a node: one segment of a key that is neither too long, nor only dots, which mean
+/// something else in an HTTP path, nor `all`, which selects every node.
+///
+/// # Errors
+/// [`KeyError`] if it cannot.
+pub fn check_node_name(name: &str) -> Result<(), KeyError> {
+    if name.len() > LONGEST_NODE_NAME {
+        let length = name.len();
+        return Err(KeyError(format!(
+            "node name with {length} bytes: it must have at most {LONGEST_NODE_NAME}"
+        )));
+    }
+    check_segment("node name", name)?;
+    if name.bytes().all(|byte| byte == b'.') {
+        return Err(KeyError(format!(
+            "node name `{name}` must not be only dots, which mean something else in an HTTP path"
+        )));
+    }
+    if name == "all" {
+        return Err(KeyError(
+            "node name `all` would select every node: choose another".to_owned(),
+        ));
+    }
+    Ok(())
+}
+
 /// The keys of one node. In keys between a node and a hub, the kind precedes the node: with the node first, a router
 /// would match every message against all nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,7 +71,7 @@ impl NodeKeys {
     /// # Errors
     /// [`KeyError`] if either name is invalid.
     pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
-        check_segment("node name", node)?;
+        check_node_name(node)?;
         let mut keys = Self::all(prefix)?;
         keys.node = node.to_owned();
         Ok(keys)
@@ -132,9 +161,17 @@ impl NodeKeys {
     /// Returns the node of a key of this kind: its last part. `None` if that is not a valid node name, such as a
     /// wildcard or a part with invalid characters.
     pub fn node_of(key: &str) -> Option<&str> {
-        let (_, node) = key.rsplit_once('/')?;
-        let is_name = check_segment("node", node).is_ok();
-        is_name.then_some(node)
+        Self::sender_of(key).ok()
+    }
+
+    /// Returns the node of a key of this kind, as [`node_of`](Self::node_of) does.
+    ///
+    /// # Errors
+    /// [`KeyError`] with the reason why the last part of the key is not a valid node name.
+    pub fn sender_of(key: &str) -> Result<&str, KeyError> {
+        let node = key.rsplit_once('/').map_or("", |(_, node)| node);
+        check_node_name(node)?;
+        Ok(node)
     }
 }
 
@@ -228,6 +265,33 @@ mod tests {
         assert_eq!(stream_of_token(&token), Some(7));
         assert_eq!(node.all_counters(), "albireo/car-7/*/counters");
         assert_eq!(node.all_pictures(), "albireo/car-7/*/picture");
+    }
+
+    #[test]
+    fn a_node_name_is_short_has_more_than_dots_and_does_not_select_every_node() {
+        let longest = "n".repeat(64);
+        for name in [
+            "car-7",
+            "a",
+            "all-1",
+            "ALL",
+            ".car",
+            "car.",
+            longest.as_str(),
+        ] {
+            assert!(check_node_name(name).is_ok(), "{name:?}");
+            assert!(NodeKeys::new("albireo", name).is_ok(), "{name:?}");
+        }
+        let too_long = "n".repeat(65);
+        for name in ["", ".", "..", "...", "all", "a/b", too_long.as_str()] {
+            assert!(check_node_name(name).is_err(), "{name:?}");
+            assert!(NodeKeys::new("albireo", name).is_err(), "{name:?}");
+            let key = format!("albireo/@status/{name}");
+            let is_read = NodeKeys::node_of(&key).is_some_and(|node| node == name);
+            assert!(!is_read, "{name:?}");
+        }
+        let refused = NodeKeys::sender_of("albireo/@status/all").unwrap_err();
+        assert!(refused.to_string().contains("`all`"), "{refused}");
     }
 
     #[test]

@@ -38,7 +38,9 @@ pub use desired::{Desired, DesiredSetting, RevisionMessage};
 pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
-pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token};
+pub use keys::{
+    CameraKeys, KeyError, NodeKeys, check_node_name, check_segment, stream_of_token, stream_token,
+};
 pub use policy::{PolicyChoice, PolicyMessage};
 pub use report::{
     BatchCompression, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES, MOST_REPORTS,
@@ -49,8 +51,9 @@ pub use screen::{Pauses, ScreenMessage};
 pub use sighting::{Sighting, SightingEvent};
 pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
-    CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat, NodeStatus,
-    OutboxStatus, RefusedRevision, SettingSource, StatusMessage,
+    CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat,
+    LARGEST_STATUS_BYTES, MOST_CAMERAS, NodeStatus, OutboxStatus, RefusedRevision, SettingSource,
+    StatusMessage,
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};

@@ -7,6 +7,13 @@ use serde_with::skip_serializing_none;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
+/// Most cameras of a node. A status with so many fits into [`LARGEST_STATUS_BYTES`].
+pub const MOST_CAMERAS: usize = 128;
+
+/// Largest [`StatusMessage`] that a hub reads, bytes: a kilobyte for each camera with the reason of its fault, and 64 for the
+/// rest.
+pub const LARGEST_STATUS_BYTES: usize = (MOST_CAMERAS + 64) << 10;
+
 /// A heartbeat, with the full status if it changed or was requested. If only the number of waiting reports changed, the
 /// node sends a [`Heartbeat`] instead.
 #[skip_serializing_none]
@@ -222,6 +229,36 @@ pub struct OutboxStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_status_of_as_many_cameras_as_a_node_may_have_is_read_by_a_hub() {
+        let camera = json!({
+            "name": "c".repeat(64), "state": "never_seen", "threshold": {"name": "lambda", "value": 1.0 / 3.0},
+            "threshold_source": "configuration",
+        });
+        let reason = format!("{}; ", "its source cannot be opened ".repeat(20));
+        let status = json!({
+            "version": "0.2.0", "cameras": vec![camera; MOST_CAMERAS], "policy": "expected-loss", "model": "detector.onnx",
+            "power_source": "rapl", "power_quality": "measured",
+            "health": {"state": "degraded", "reasons": {"cameras": reason.repeat(MOST_CAMERAS)}},
+            "outbox": OutboxStatus::default(),
+        });
+        let status: NodeStatus = serde_json::from_value(status).unwrap();
+        let message = StatusMessage {
+            v: VERSION,
+            run: u32::MAX,
+            started_ns: u64::MAX,
+            seq: u64::MAX,
+            t_ns: u64::MAX,
+            health: HealthState::Degraded,
+            waiting: u64::MAX,
+            revision: u64::MAX,
+            full: Some(Box::new(status)),
+        };
+        let bytes = serde_json::to_vec(&message).unwrap().len();
+        assert!(bytes <= LARGEST_STATUS_BYTES, "{bytes}");
+    }
 
     #[test]
     fn a_heartbeat_is_an_array_of_four_numbers_unlike_a_status() {

@@ -3093,7 +3093,7 @@ export interface components {
         };
         /** @description An invalid report. */
         StoredSetAside: {
-            /** @description Its text, at most 2 KiB. */
+            /** @description Its text, at most 16 KiB. */
             body: string;
             /** @description Why it is invalid. */
             cause: string;

@@ -3,9 +3,15 @@
 use super::Answers;
 use crate::HubError;
 use crate::ingest::{Inbox, Refusal};
-use albireo_wire::{NodeKeys, RefusalReason, ReportAnswer};
+use crate::store::row::beginning;
+use albireo_service::rate_limit::RateLimit;
+use albireo_wire::{KeyError, NodeKeys, RefusalReason, ReportAnswer};
+use std::time::Duration;
 use zenoh::Session;
 use zenoh::query::{Query, Queryable};
+
+/// A node under a wrong name sends its reports again and again.
+static WRONG_NAME: RateLimit = RateLimit::new(Duration::from_secs(10));
 
 impl Answers {
     /// Puts the batches of the nodes with these keys into `inbox` until the returned declaration is dropped.
@@ -26,9 +32,12 @@ impl Answers {
 
     /// Never waits: it is called on Zenoh's thread.
     fn reported(&self, mut query: Query, inbox: &Inbox) {
-        let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
-        let payload = query.payload_mut().map(std::mem::take);
-        let (Some(node), Some(payload)) = (node, payload) else {
+        let named = NodeKeys::sender_of(query.key_expr().as_str()).map(str::to_owned);
+        let node = match named {
+            Ok(node) => node,
+            Err(error) => return self.refuse_name(query, &error),
+        };
+        let Some(payload) = query.payload_mut().map(std::mem::take) else {
             // The sender is not a node, and gets no answer.
             self.counters.refuse(RefusalReason::Unreadable);
             return;
@@ -37,6 +46,17 @@ impl Answers {
         let sender = node.clone();
         let reply = move |outcome| answers.conclude(&sender, query, outcome);
         inbox.take(node, &payload, Box::new(reply));
+    }
+
+    /// Refuses a batch on the key of a name that no node may have. The node keeps its reports until it has another name.
+    fn refuse_name(&self, query: Query, error: &KeyError) {
+        self.counters.refuse(RefusalReason::Unreadable);
+        let key = beginning(query.key_expr().as_str());
+        WRONG_NAME.log(|held_back| {
+            tracing::warn!(held_back, key, %error, "reports under a wrong name are refused");
+        });
+        let refusal = Refusal::unreadable(error.to_string());
+        self.replies.refuse(query, &refusal);
     }
 
     fn conclude(&self, node: &str, query: Query, outcome: Result<ReportAnswer, Refusal>) {

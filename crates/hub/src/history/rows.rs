@@ -143,7 +143,7 @@ pub struct StoredSetAside {
     pub received_ms: i64,
     /// Why it is invalid.
     pub cause: String,
-    /// Its text, at most 2 KiB.
+    /// Its text, at most 16 KiB.
     pub body: String,
 }
 

@@ -12,10 +12,15 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
+/// Most bytes of a report that are set aside with it. Those of nodes have one to three kilobytes.
+const LONGEST_ASIDE: usize = 16 << 10;
+
 /// A parsed batch.
 #[derive(Debug)]
 pub struct Batch {
     pub(crate) node: String,
+    /// What came, for the text of a report that is set aside.
+    payload: Vec<u8>,
     /// Bytes of its JSON.
     pub(crate) bytes: usize,
     /// True if the clocks of hub and node agree.
@@ -52,11 +57,7 @@ pub(crate) enum Rejected {
     /// It is older than the identities that the hub keeps.
     TooOld { reason: String },
     /// It is invalid.
-    Invalid {
-        reason: String,
-        /// The beginning of its text.
-        text: String,
-    },
+    Invalid { reason: String },
 }
 
 /// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
@@ -69,6 +70,19 @@ struct RawBatch<'a> {
     ages: Vec<ReportAge>,
     #[serde(borrow)]
     reports: Vec<&'a RawValue>,
+}
+
+impl Batch {
+    /// The text of a report as it came, or the beginning of a long one. It is read once more, because few reports are set
+    /// aside, and the texts of all would be ten times as large as what came.
+    pub(crate) fn text(&self, report: usize) -> String {
+        let json = decompress_batch(&self.payload).unwrap_or_default();
+        let Ok(batch) = serde_json::from_slice::<RawBatch<'_>>(&json) else {
+            return String::new();
+        };
+        let text = batch.reports.get(report).map_or("", |raw| raw.get());
+        text[..text.floor_char_boundary(LONGEST_ASIDE)].to_owned()
+    }
 }
 
 /// Parses the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
@@ -110,6 +124,7 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
     }
     Ok(Batch {
         node: batch.node,
+        payload: payload.to_vec(),
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
         reports,
@@ -128,7 +143,7 @@ fn parse(node: &str, raw: &str, present: Present, age: Option<ReportAge>) -> Rec
         Ok(report) => report,
         Err(error) => {
             let known: Known = serde_json::from_str(raw).unwrap_or_default();
-            let invalid = invalid(&error.to_string(), raw);
+            let invalid = invalid(&error.to_string());
             return Received::rejected(known.id, known.count, invalid);
         }
     };
@@ -137,7 +152,7 @@ fn parse(node: &str, raw: &str, present: Present, age: Option<ReportAge>) -> Rec
     let present_then = present.when_made(report.id, age);
     let clip = match checked_clip(node, &report, present_then, behind_ms) {
         Ok(clip) => clip,
-        Err(reason) => return Received::rejected(id, report.count, invalid(&reason, raw)),
+        Err(reason) => return Received::rejected(id, report.count, invalid(&reason)),
     };
     let (key, doubt) = match key(report.id, present_then, age) {
         Ok(found) => found,
@@ -173,9 +188,8 @@ fn checked_clip(
     clip(report, present, behind_ms)
 }
 
-fn invalid(reason: &str, raw: &str) -> Rejected {
+fn invalid(reason: &str) -> Rejected {
     Rejected::Invalid {
         reason: beginning(reason),
-        text: beginning(raw),
     }
 }

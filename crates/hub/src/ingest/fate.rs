@@ -3,8 +3,9 @@
 use super::clip::Clip;
 use super::counters::IngestCounts;
 use super::decode::{Received, Rejected};
+use super::limits::NEW_CAMERAS;
 use super::plan::{Doubt, Seen};
-use super::tables::{MOST_CAMERAS, ReportCountsRow, ReportKey};
+use super::tables::{ReportCountsRow, ReportKey};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
 
@@ -37,8 +38,8 @@ pub(super) enum Fate<'a> {
         reason: &'a str,
         noted: Option<ReportKey>,
     },
-    /// It is set aside for this reason, with the beginning of its text.
-    Invalid { reason: String, text: &'a str },
+    /// It is set aside for this reason.
+    Invalid { reason: String },
 }
 
 impl<'a> Fate<'a> {
@@ -58,10 +59,9 @@ impl<'a> Fate<'a> {
                     noted: None,
                 };
             }
-            Err(Rejected::Invalid { reason, text }) => {
+            Err(Rejected::Invalid { reason }) => {
                 return Self::Invalid {
                     reason: reason.clone(),
-                    text,
                 };
             }
         };
@@ -79,9 +79,9 @@ impl<'a> Fate<'a> {
             return Self::Again;
         }
         if !has_place(&clip.camera) {
+            let most = NEW_CAMERAS.most;
             return Self::Invalid {
-                reason: format!("the node has {MOST_CAMERAS} cameras already"),
-                text: "",
+                reason: format!("the node has had {most} new cameras today"),
             };
         }
         Self::Stored(key, clip)
@@ -92,7 +92,7 @@ impl<'a> Fate<'a> {
         match self {
             Self::Stored(..) | Self::Again => None,
             Self::TooOld { reason, .. } => Some(reason),
-            Self::Invalid { reason, .. } => Some(reason),
+            Self::Invalid { reason } => Some(reason),
         }
     }
 }
@@ -247,7 +247,6 @@ mod tests {
     fn invalid() -> Received {
         let rejected = Rejected::Invalid {
             reason: "a reason".to_owned(),
-            text: "{}".to_owned(),
         };
         received(Err(rejected), 1)
     }
@@ -290,8 +289,7 @@ mod tests {
             assert!(noted.is_some(), "its identity is to be forgotten");
         }
         let one_too_many = Fate::Invalid {
-            reason: "the node has 64 cameras already".to_owned(),
-            text: "",
+            reason: "the node has had 512 new cameras today".to_owned(),
         };
         assert_eq!(Fate::of(&given, New, None, has_too_many), one_too_many);
         let old = Fate::TooOld {
@@ -301,7 +299,6 @@ mod tests {
         assert_eq!(fate(&too_old(), New), old);
         let wrong = Fate::Invalid {
             reason: "a reason".to_owned(),
-            text: "{}",
         };
         assert_eq!(fate(&invalid(), New), wrong);
     }

@@ -4,10 +4,11 @@ use super::clip::{Clip, SetupRow, StoredClipRow};
 use super::decode::{Batch, Received};
 use super::fate::{BatchResult, Fate, Identity};
 use super::limits::EntryLimit;
-use super::tables::{MOST_CAMERAS, ReportCountsRow, ReportKey};
+use super::tables::{ReportCountsRow, ReportKey};
 use crate::store::row::{Columns, IntoRow};
 use crate::store::{Database, StoreError};
 use albireo_service::clock::DAY_MS;
+use albireo_wire::MOST_CAMERAS;
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
 
@@ -88,10 +89,11 @@ impl Group {
         database: &mut dyn Database,
         batch: &Batch,
         aside_limit: &mut EntryLimit,
+        camera_limit: &mut EntryLimit,
     ) -> Result<BatchResult, StoreError> {
         let mut result = BatchResult::default();
         let mut node = self.nodes.remove(&batch.node).ok_or_else(|| lost("a node"))?;
-        for report in &batch.reports {
+        for (index, report) in batch.reports.iter().enumerate() {
             let identity = self.identity(report);
             let doubt = report
                 .doubt
@@ -99,14 +101,19 @@ impl Group {
                 .filter(|doubt| !node.counts.lack(report.count, doubt.first));
             let cameras = self.cameras.entry(node.node_id).or_default();
             let fate = Fate::of(report, identity, doubt, |camera| {
-                cameras.contains_key(camera) || cameras.len() < MOST_CAMERAS
+                cameras.contains_key(camera) || camera_limit.has_room(&batch.node, "", self.now_ms)
             });
             match &fate {
-                Fate::Stored(key, clip) => self.store(database, node.node_id, *key, clip)?,
+                Fate::Stored(key, clip) => {
+                    let has_new_camera = self.store(database, node.node_id, *key, clip)?;
+                    if has_new_camera {
+                        camera_limit.count(&batch.node, "", self.now_ms);
+                    }
+                }
                 Fate::TooOld { noted, .. } => self.refused.extend(noted),
-                Fate::Invalid { reason, text } => {
+                Fate::Invalid { reason } => {
                     if aside_limit.allows(&batch.node, "", self.now_ms) {
-                        self.set_aside(node.node_id, report, reason, text);
+                        self.set_aside(node.node_id, report, reason, batch.text(index));
                     }
                 }
                 Fate::Again => {}
@@ -118,11 +125,11 @@ impl Group {
         Ok(result)
     }
 
-    /// The number of cameras of a batch's node.
+    /// The number of cameras of a batch's node, as far as they count for its share.
     pub(super) fn cameras_of(&self, batch: &Batch) -> usize {
         let node = self.nodes.get(&batch.node);
         let cameras = node.and_then(|node| self.cameras.get(&node.node_id));
-        cameras.map_or(0, HashMap::len)
+        cameras.map_or(0, HashMap::len).min(MOST_CAMERAS)
     }
 
     /// What is known of the identity of a report. An identity is new only for the first report of this group that has it.
@@ -140,17 +147,18 @@ impl Group {
         }
     }
 
-    /// Collects the row of a clip; its camera is added if the node has not had it yet.
+    /// Collects the row of a clip. Its camera is added if the node has not had it yet; returns true in that case.
     fn store(
         &mut self,
         database: &mut dyn Database,
         node_id: i64,
         key: ReportKey,
         clip: &Clip,
-    ) -> Result<(), StoreError> {
+    ) -> Result<bool, StoreError> {
         let cameras = self.cameras.entry(node_id).or_default();
-        let camera_id = match cameras.get(&clip.camera) {
-            Some(known) => *known,
+        let known = cameras.get(&clip.camera).copied();
+        let camera_id = match known {
+            Some(known) => known,
             None => {
                 let added = database.add_camera(node_id, &clip.camera)?;
                 cameras.insert(clip.camera.clone(), added);
@@ -170,16 +178,16 @@ impl Group {
             setup_id,
             clip: clip.row.clone(),
         });
-        Ok(())
+        Ok(known.is_none())
     }
 
-    fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str, text: &str) {
+    fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str, text: String) {
         self.aside.push(SetAsideRow {
             node_id,
             report_id: report.id.map(|id| id.to_string()),
             received_ms: self.now_ms,
             cause: reason.to_owned(),
-            body: text.to_owned(),
+            body: text,
         });
     }
 

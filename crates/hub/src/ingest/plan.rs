@@ -14,8 +14,7 @@ const FIRST_MS: i64 = 1_767_225_600_000;
 /// Most days that a node's clock may be ahead of the hub's and still be believed.
 const MOST_BEHIND_DAYS: i64 = 366;
 
-/// Most ranges of missing counts that are kept per node. A new gap then replaces the oldest range, and a range that is
-/// split displaces the newest.
+/// Most ranges of missing counts that are kept per node. One more displaces the oldest.
 const MOST_RANGES: usize = 32;
 
 /// Larger counts are ignored.
@@ -157,7 +156,8 @@ pub(crate) enum Seen {
 /// The running counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
-    /// The first count that was received; 0 before. The hub does not know whether reports with lower counts exist.
+    /// The first count that was received, or the one behind the last range that was displaced; 0 before any report. The
+    /// hub does not know whether it lacks reports with lower counts.
     base: u64,
     /// The highest count since then.
     highest: u64,
@@ -233,10 +233,8 @@ impl Counts {
             if first > last {
                 return Seen::Expected;
             }
-            if self.ranges.len() == MOST_RANGES {
-                self.ranges.remove(0);
-            }
             self.ranges.push((first, last));
+            self.displace_oldest();
             return Seen::Gap { first, last };
         }
         let has_count = |(first, last): &(u64, u64)| (*first..=*last).contains(&count);
@@ -245,7 +243,7 @@ impl Counts {
             let mut rest = vec![(first, count - 1), (count + 1, last)];
             rest.retain(|(first, last)| first <= last);
             self.ranges.splice(place..place, rest);
-            self.ranges.truncate(MOST_RANGES);
+            self.displace_oldest();
             return Seen::Expected;
         }
         if !is_new || count < self.base {
@@ -257,5 +255,13 @@ impl Counts {
             ranges: Vec::new(),
         };
         Seen::Reset
+    }
+
+    /// Drops the oldest ranges beyond [`MOST_RANGES`]. Their reports may still come, so counts are told from there on.
+    fn displace_oldest(&mut self) {
+        while self.ranges.len() > MOST_RANGES {
+            let (_, last) = self.ranges.remove(0);
+            self.base = self.base.max(last + 1);
+        }
     }
 }

@@ -3,7 +3,7 @@
 use super::counters::IngestCounts;
 use super::decode::Batch;
 use super::group::Group;
-use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
+use super::limits::{ClockCheck, EVENTS, EntryLimit, NEW_CAMERAS, PRESENCE, SET_ASIDE};
 use super::outcomes::Written;
 use super::retention::{DeleteOld, retain};
 use crate::config::HistoryConfig;
@@ -33,6 +33,7 @@ pub struct Recorder {
     event_limit: EntryLimit,
     presence_limit: EntryLimit,
     aside_limit: EntryLimit,
+    camera_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
     /// True if the next transaction writes a row in any case.
@@ -44,7 +45,7 @@ pub struct Recorder {
 pub struct Recorded {
     /// The answer to each batch, in order.
     pub answers: Vec<ReportAnswer>,
-    /// The number of cameras of each batch's node, in order.
+    /// The number of cameras of each batch's node, as far as they count for its share, in order.
     pub(crate) cameras: Vec<usize>,
     /// The additions to the counters.
     pub(crate) counts: IngestCounts,
@@ -64,6 +65,7 @@ impl Recorder {
             event_limit: EntryLimit::new(EVENTS),
             presence_limit: EntryLimit::new(PRESENCE),
             aside_limit: EntryLimit::new(SET_ASIDE),
+            camera_limit: EntryLimit::new(NEW_CAMERAS),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
             proves_writing: false,
@@ -126,11 +128,12 @@ impl Recorder {
         recorded
     }
 
-    fn limits(&mut self) -> [&mut EntryLimit; 3] {
+    fn limits(&mut self) -> [&mut EntryLimit; 4] {
         [
             &mut self.event_limit,
             &mut self.presence_limit,
             &mut self.aside_limit,
+            &mut self.camera_limit,
         ]
     }
 
@@ -202,7 +205,12 @@ impl Recorder {
         let mut group = Group::load(database, batches, now_ms)?;
         let mut recorded = Recorded::default();
         for batch in batches {
-            let result = group.add(database, batch, &mut self.aside_limit)?;
+            let result = group.add(
+                database,
+                batch,
+                &mut self.aside_limit,
+                &mut self.camera_limit,
+            )?;
             for event in result.events {
                 if self.event_limit.allows(&batch.node, event.kind, now_ms) {
                     events.push(EventRow::of(now_ms, event.kind, &batch.node, event.detail));

@@ -1,9 +1,9 @@
-//! Deletes old rows: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never waits
+//! Deletes old rows: whole days in PostgreSQL, else a few rows at a time, so that the thread that writes never waits
 //! long.
 
 use crate::config::HistoryConfig;
 use crate::store::{
-    CLIPS, Database, DatabaseKind, FIVE_MINUTE_SUMS, REPORT_IDS, StoreError, keep_days,
+    CLIPS, Database, DatabaseKind, FIVE_MINUTE_SUMS, REPORT_IDS, StoreError, keep_days, statements,
 };
 use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
@@ -72,11 +72,11 @@ pub(crate) fn retain(
 /// Runs the statements of a file, each with its first day to keep. Returns the largest number of rows that one deleted.
 fn delete(
     database: &mut dyn Database,
-    statements: &str,
+    file: &str,
     first_days: &[i64],
 ) -> Result<usize, StoreError> {
     let mut most = 0;
-    for (statement, first) in statements.split(';').zip(first_days) {
+    for (statement, first) in statements(file).iter().zip(first_days) {
         let gone = database.query(statement, &[(*first).into()])?;
         most = most.max(gone.len());
     }

@@ -99,9 +99,6 @@ impl IntoRow for ReportCountsRow {
     }
 }
 
-/// Most cameras of a node.
-pub(crate) const MOST_CAMERAS: usize = 64;
-
 /// Counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportCounts {

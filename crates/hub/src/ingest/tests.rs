@@ -263,6 +263,37 @@ fn a_known_count_under_a_new_id_is_a_reset_and_misses_nothing_earlier() {
 }
 
 #[test]
+fn a_late_report_is_no_reset_however_many_gaps_there_are() {
+    // As many gaps as are kept, and more.
+    for gaps in [32, 40] {
+        let mut counts = Counts::default();
+        for gap in 0..=gaps {
+            see_new(&mut counts, gap * 4 + 1);
+        }
+        // The middle of each gap splits it.
+        for place in [3, 2, 4] {
+            for gap in 0..gaps {
+                let late = gap * 4 + place;
+                assert_eq!(see_new(&mut counts, late), Seen::Expected, "{late}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gap_that_is_split_displaces_the_oldest_one() {
+    let mut counts = Counts::default();
+    for gap in 0..=32 {
+        see_new(&mut counts, gap * 4 + 1);
+    }
+    see_new(&mut counts, 127);
+    assert_eq!(counts.wanted().len(), 32);
+    assert_eq!(counts.wanted()[0], (6, 8));
+    assert_eq!(counts.wanted()[30..], [(126, 126), (128, 128)]);
+    assert_eq!(counts.missing(), 30 * 3 + 2);
+}
+
+#[test]
 fn counts_are_read_back_from_their_row_unchanged() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);

@@ -36,7 +36,8 @@ pub(crate) struct NodeEntry {
     before: Option<EarlierRun>,
     /// Present while several nodes seem to use the name.
     pub(super) twin: Option<Twin>,
-    pub(super) seq: u64,
+    /// The highest number of a message of the present run.
+    seq: u64,
     pub(super) health: HealthState,
     pub(super) needs_full: bool,
     /// True if a report of it was stored: it is no invented name.
@@ -94,21 +95,21 @@ impl NodeEntry {
     /// Notes the number of a message of the present run. Returns false if a later one overtook it; after a gap, a full
     /// status may be lost.
     pub(super) fn note_seq(&mut self, seq: u64) -> bool {
-        if seq <= self.seq && !self.needs_full {
+        if seq <= self.seq {
             return false;
         }
-        let is_next = self.seq.checked_add(1) == Some(seq);
-        if !is_next {
+        if seq - self.seq > 1 {
             self.needs_full = true;
         }
         self.seq = seq;
         true
     }
 
-    /// Notes a run that differs from the present one. A new run is a restart; a run that comes back after another one
-    /// means that two nodes have this name.
-    pub(super) fn another_run(&mut self, run: u32, now: Instant, silent: Duration) {
+    /// Notes a run that differs from the present one, with the number of its message. A new run is a restart; a run
+    /// that comes back after another one means that two nodes have this name.
+    pub(super) fn another_run(&mut self, run: u32, seq: u64, now: Instant, silent: Duration) {
         self.needs_full = true;
+        self.seq = seq;
         let Some(last) = self.run.replace(run) else {
             return;
         };

@@ -6,7 +6,7 @@ use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_service::readiness::Fault;
-use albireo_wire::{Heartbeat, StatusMessage};
+use albireo_wire::{Heartbeat, StatusMessage, check_node_name};
 use parking_lot::{Mutex, RwLock};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -131,12 +131,16 @@ impl Fleet {
         }
     }
 
-    /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`.
+    /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`. A name of an
+    /// earlier version that no node may have now is left out: nobody could select or forget it.
     pub fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
         let mut known = self.nodes.write();
         let mut sums = self.sums.lock();
         for node in nodes {
             let name = node.node.clone();
+            if check_node_name(&name).is_err() {
+                continue;
+            }
             let entry = NodeEntry::remembered(node, now);
             sums.add(&entry);
             if let Some(before) = known.insert(name, entry) {
@@ -149,13 +153,14 @@ impl Fleet {
     pub fn apply_status(&self, node: &str, message: StatusMessage, now: Now) -> bool {
         let silent_s = self.config.silent_after_s * slowdown(self.nodes.read().len());
         self.heard(node, now, |entry| {
-            if entry.run != Some(message.run) {
-                entry.another_run(message.run, now.at, Duration::from_secs_f64(silent_s));
-            } else if message.full.is_none() {
+            if entry.run == Some(message.run) {
                 let is_later = entry.note_seq(message.seq);
                 if !is_later {
                     return News::Nothing;
                 }
+            } else {
+                let silent = Duration::from_secs_f64(silent_s);
+                entry.another_run(message.run, message.seq, now.at, silent);
             }
             let mut news = News::Alive;
             if entry.node.revision != message.revision {
@@ -175,7 +180,6 @@ impl Fleet {
             }
             entry.health = message.health;
             entry.node.revision = message.revision;
-            entry.seq = message.seq;
             entry.node.waiting = message.waiting;
             news
         })

@@ -132,6 +132,18 @@ fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
 }
 
 #[test]
+fn a_name_that_no_node_may_have_now_is_not_remembered() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let named = |node: &str| NodeView {
+        node: node.to_owned(),
+        ..NodeView::default()
+    };
+    fleet.remember(["..", "all", "car-1"].map(named).to_vec(), Instant::now());
+    let names: Vec<String> = fleet.views(|_| true).into_iter().map(|node| node.node).collect();
+    assert_eq!(names, ["car-1"]);
+}
+
+#[test]
 fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
     use PresenceState::{Degraded, Online};
     let fleet = Fleet::new(&PresenceConfig::default());
@@ -152,6 +164,36 @@ fn a_notice_for_a_lost_status_is_sent_at_most_every_few_seconds() {
     assert!(!fleet.apply_status("a", life(3), after(start, 1)));
     assert!(fleet.apply_status("a", life(9), after(start, 6)));
     assert!(fleet.needs_full_status("a"));
+}
+
+#[test]
+fn a_message_that_a_later_one_overtook_changes_nothing() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let full = |message: StatusMessage| StatusMessage {
+        full: Some(Box::new(STATUS.clone())),
+        ..message
+    };
+    let ill = |seq| StatusMessage {
+        health: HealthState::Degraded,
+        revision: 7,
+        waiting: 9,
+        ..life(seq)
+    };
+    fleet.apply_status("a", full(life(0)), after(start, 0));
+    // After a gap, and after the full status that was then requested.
+    for (newest, is_full_missing) in [(life(5), true), (full(life(8)), false)] {
+        let run = newest.run;
+        let seq = newest.seq - 1;
+        let waiting = 9;
+        fleet.apply_status("a", newest, after(start, 1));
+        let before = fleet.view("a");
+        fleet.apply_status("a", ill(seq), after(start, 2));
+        fleet.apply_status("a", full(ill(seq)), after(start, 2));
+        fleet.alive("a", Heartbeat { run, seq, waiting }, after(start, 2));
+        assert_eq!(fleet.view("a"), before);
+        assert_eq!(fleet.needs_full_status("a"), is_full_missing);
+    }
 }
 
 #[test]

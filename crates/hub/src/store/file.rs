@@ -23,6 +23,84 @@ pub(super) fn identity(path: &Path) -> Option<FileIdentity> {
     })
 }
 
+/// The path of a file without links, also where the file does not exist yet: as SQLite names what it keeps beside it.
+pub(super) fn without_links(path: &Path) -> PathBuf {
+    if let Ok(path) = fs::canonicalize(path) {
+        return path;
+    }
+    let linked = match fs::read_link(path) {
+        Ok(target) => folder_of(path).join(target),
+        Err(_) => path.to_owned(),
+    };
+    match (fs::canonicalize(folder_of(&linked)), linked.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => linked,
+    }
+}
+
+/// The folder of a file; a name alone is in the folder where the program runs.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Checks that a path can be that of a database of this hub alone.
+///
+/// # Errors
+/// [`StoreError::Refused`] if it is a folder; [`StoreError::Unavailable`] while the file has a second name, under which another
+/// hub could use it.
+pub(super) fn check_alone(path: &Path) -> Result<(), StoreError> {
+    let Ok(metadata) = fs::metadata(path) else {
+        return Ok(());
+    };
+    let shown = path.display();
+    if metadata.is_dir() {
+        return Err(StoreError::Refused(format!(
+            "{shown} is a folder, not a file: name a file in database.url"
+        )));
+    }
+    if metadata.nlink() > 1 {
+        return Err(StoreError::Unavailable(format!(
+            "{shown} has a second name (a hard link), under which another hub could use it: remove that name, or use a copy \
+             of the file"
+        )));
+    }
+    Ok(())
+}
+
+/// Checks that a database file can be used on this machine: it is there or can be created, and can be written. Not for a process
+/// that uses it: closing a second handle to the file would drop SQLite's own locks.
+///
+/// # Errors
+/// Why not.
+pub(super) fn check_here(path: &Path) -> Result<(), StoreError> {
+    check_alone(path)?;
+    let path = without_links(path);
+    let folder = folder_of(&path);
+    let unusable = |what: &Path, error: std::io::Error| {
+        StoreError::Unavailable(format!("{} cannot be used: {error}", what.display()))
+    };
+    if !folder.is_dir() {
+        return Err(StoreError::Unavailable(format!(
+            "the folder {} does not exist: create it",
+            folder.display()
+        )));
+    }
+    if path.exists() {
+        File::options()
+            .append(true)
+            .open(&path)
+            .map_err(|error| unusable(&path, error))?;
+    }
+    // SQLite keeps files beside the database. An empty one can also be created on a full disk, where a hub starts and says so.
+    let probe = folder.join(format!(".albireo-check-{}", std::process::id()));
+    File::create(&probe).map_err(|error| unusable(folder, error))?;
+    let _ = fs::remove_file(&probe);
+    Ok(())
+}
+
 /// The database file of a hub.
 #[derive(Debug)]
 pub(super) struct DatabaseFile {
@@ -43,9 +121,10 @@ impl DatabaseFile {
     /// Reserves the file for this hub, until [`release`](Self::release) or the end of the process.
     ///
     /// # Errors
-    /// When another hub uses it.
+    /// When another hub uses it, under whatever name.
     pub(super) fn reserve(&self) -> Result<(), StoreError> {
-        let mut path = self.path.clone().into_os_string();
+        check_alone(&self.path)?;
+        let mut path = without_links(&self.path).into_os_string();
         path.push("-lock");
         // A file beside it: closing a second handle to the database itself would drop SQLite's own locks.
         let opened = File::options().create(true).truncate(false).write(true).open(path);
@@ -93,4 +172,52 @@ pub(super) fn gone(path: &Path) -> StoreError {
          back, or restart the hub, which creates a new one where there is none",
         path.display()
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    #[test]
+    fn a_file_is_reserved_for_one_hub_under_any_of_its_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hub.db");
+        let link = folder.path().join("link.db");
+        symlink("hub.db", &link).unwrap();
+        let database = |path: &Path| DatabaseFile::new(path.to_str().unwrap());
+        // Before the file exists, and after.
+        for _ in 0..2 {
+            let one = database(&file);
+            one.reserve().unwrap();
+            let refused = database(&link).reserve().unwrap_err().to_string();
+            assert!(refused.contains("in use by another hub"), "{refused}");
+            one.release();
+            database(&link).reserve().unwrap();
+            fs::write(&file, "").unwrap();
+        }
+        let hard = folder.path().join("hard.db");
+        fs::hard_link(&file, &hard).unwrap();
+        for path in [&file, &hard] {
+            let refused = database(path).reserve().unwrap_err();
+            assert!(refused.is_temporary(), "{refused}");
+            assert!(refused.to_string().contains("hard link"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_check_names_what_a_database_file_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hub.db");
+        assert!(check_here(&file).is_ok());
+        assert!(!file.exists(), "it is not created");
+        fs::write(&file, "").unwrap();
+        assert!(check_here(&file).is_ok());
+        let said = |path: &Path| check_here(path).unwrap_err().to_string();
+        assert!(said(folder.path()).contains("is a folder, not a file"));
+        let missing = folder.path().join("nowhere").join("hub.db");
+        assert!(said(&missing).contains("does not exist: create it"));
+        let below_a_file = file.join("hub.db");
+        assert!(said(&below_a_file).contains("does not exist"));
+    }
 }

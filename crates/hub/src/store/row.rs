@@ -255,8 +255,7 @@ pub(crate) fn text(text: &str) -> String {
     text.replace('\0', "\u{fffd}")
 }
 
-/// The beginning of a text that a node may have made long: of an invalid report, or of a reason, which may quote what is
-/// invalid.
+/// The beginning of a text that a node may have made long, such as a reason, which may quote what is invalid.
 pub(crate) fn beginning(text: &str) -> String {
     text[..text.floor_char_boundary(2 << 10)].to_owned()
 }

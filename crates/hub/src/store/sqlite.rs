@@ -1,11 +1,11 @@
 //! Connects to SQLite.
 
-use super::file::{FileIdentity, gone, identity};
+use super::file::{FileIdentity, gone, identity, without_links};
 use super::row::{Cell, Columns, Param, Row};
 use super::{Database, DatabaseKind, StoreError};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// The purpose of a connection.
@@ -35,6 +35,13 @@ pub(super) fn file(url: &str) -> &str {
     let place = address.strip_prefix("sqlite:").unwrap_or(address);
     // Whatever follows is the path: with four slashes in a row it is absolute, as with three.
     place.strip_prefix("//").unwrap_or(place)
+}
+
+/// The write-ahead log of a database file that exists: SQLite names it after the file that a link leads to.
+fn log_of(file: &str) -> PathBuf {
+    let mut log = without_links(Path::new(file)).into_os_string();
+    log.push("-wal");
+    log.into()
 }
 
 impl Sqlite {
@@ -68,7 +75,7 @@ impl Sqlite {
         };
         Ok(Self {
             connection,
-            log: format!("{}-wal", file(url)).into(),
+            log: log_of(file(url)),
             used_log: None,
             limit,
         })

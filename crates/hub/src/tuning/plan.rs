@@ -211,6 +211,24 @@ impl RolloutPlan {
         self.basics.check()
     }
 
+    /// Checks that no stage has fewer of `all` nodes than the one before it: the larger one would be given the value at once.
+    ///
+    /// # Errors
+    /// The first size that is smaller.
+    pub(crate) fn check_growth(&self, all: usize) -> Result<(), String> {
+        for (before, after) in self.stages.iter().zip(self.stages.iter().skip(1)) {
+            let nodes_before = stage_size(before, all);
+            let nodes_after = stage_size(after, all);
+            if nodes_after < nodes_before {
+                return Err(format!(
+                    "stages: of {all} nodes `{after}` is fewer than `{before}` before it; each size includes the earlier \
+                     stages, so sizes must grow"
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// The number of `all` nodes that have the new value once each stage has begun. A stage that adds no node, as in a small
     /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {

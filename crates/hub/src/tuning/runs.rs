@@ -10,6 +10,7 @@ use albireo_service::http::Problem;
 use albireo_wire::{DesiredSetting, Threshold};
 use axum::http::StatusCode;
 use serde_json::json;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
 
 /// The duration of a claim.
@@ -19,6 +20,9 @@ const CLAIM_EVERY_MS: Millis = 4_000;
 
 /// Most names that are forgotten in one transaction.
 const MOST_STRANGERS: usize = 500;
+
+/// Most reasons in the answer to a request for which too few nodes can take part.
+const MOST_REASONS: usize = 5;
 
 impl Run {
     fn key(&self) -> RunKey {
@@ -46,6 +50,13 @@ pub(crate) struct DrivenRuns {
 /// The problem of a request that is not possible now.
 fn conflict(detail: String) -> Problem {
     Problem::new(StatusCode::CONFLICT, detail)
+}
+
+/// The problem of a command to a rollout or trial that this hub does not drive.
+fn not_driven(kind: &str, id: i64) -> Problem {
+    conflict(format!(
+        "the {kind} {id} is driven by another hub on the same database, or has ended"
+    ))
 }
 
 impl Tuner {
@@ -127,8 +138,17 @@ impl Tuner {
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
-        let mut run = Run::begin(kind, candidates, seed, who, now)
-            .map_err(|error| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, error))?;
+        let mut run = match Run::begin(kind, candidates, seed, who, now) {
+            Ok(run) => run,
+            Err(mut error) => {
+                // Where too few nodes are left, why the others are left out shows what to do.
+                if error.starts_with("select: ") {
+                    error += &counted_reasons(&left_out);
+                }
+                return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, error));
+            }
+        };
+        // It is new, so no other hub drives it.
         self.save(&mut run, now).await?;
         runs.running.insert(run.key(), run.clone());
         run.left_out = left_out;
@@ -162,7 +182,9 @@ impl Tuner {
         let is_rollout = matches!(run.kind, Kind::Rollout { .. });
         if let Some(driven) = runs.running.get(&run.key()) {
             run = driven.clone();
-        } else if run.ended_ms.is_some() && is_rollout && command == Command::Return {
+        } else if is_rollout && command == Command::Return && self.claim_ended(run.key()).await? {
+            // Once more, because another hub may have returned it before the claim.
+            run = self.run(kind, id).await?;
             let taken = self.taken().await?;
             run.leave_out(|member| {
                 let was_changed_since = match self.desired.get(&member.node) {
@@ -172,9 +194,7 @@ impl Tuner {
                 was_changed_since || taken.contains_key(&member.node)
             });
         } else {
-            return Err(conflict(format!(
-                "the {kind} {id} is driven by another hub on the same database, or has ended"
-            )));
+            return Err(not_driven(kind, id));
         }
         if is_rollout {
             run.command(command, who, now).map_err(conflict)?;
@@ -183,13 +203,22 @@ impl Tuner {
             run.end_trial(&found, EndedBy::Person(who), now);
         }
         // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
-        self.save(&mut run, now).await?;
-        if run.ended_ms.is_some() {
-            runs.running.remove(&run.key());
-        } else {
+        let is_stored = self.save(&mut run, now).await?;
+        if is_stored && run.ended_ms.is_none() {
             runs.running.insert(run.key(), run);
+        } else {
+            runs.running.remove(&run.key());
+        }
+        if !is_stored {
+            return Err(not_driven(kind, id));
         }
         Ok(())
+    }
+
+    /// Claims a rollout or trial that has ended; returns false if it has not.
+    async fn claim_ended(&self, key: RunKey) -> Result<bool, StoreError> {
+        let driver = self.driver.clone();
+        self.store.write(move |writing| writing.claim_ended_run(&key, &driver)).await
     }
 
     /// Advances everything that this hub drives.
@@ -202,19 +231,26 @@ impl Tuner {
             self.claim(&mut runs, now).await?;
         }
         let mut result = Ok(());
-        for run in runs.running.values_mut() {
+        let mut lost = Vec::new();
+        for (key, run) in &mut runs.running {
             // A failed run does not stop the others; its progress is saved.
             let advanced = self.advance(run, now).await;
-            let saved = if run.unsaved {
-                self.save(run, now).await
-            } else {
-                Ok(())
-            };
-            if advanced.is_err() || saved.is_err() {
-                result = advanced.and(saved);
+            if advanced.is_err() {
+                result = advanced;
+            }
+            if !run.unsaved {
+                continue;
+            }
+            match self.save(run, now).await {
+                Ok(true) => {}
+                Ok(false) => lost.push(key.clone()),
+                Err(error) => result = Err(error),
             }
         }
-        runs.running.retain(|_, run| run.unsaved || run.ended_ms.is_none());
+        runs.running.retain(|key, run| {
+            let goes_on = run.unsaved || run.ended_ms.is_none();
+            goes_on && !lost.contains(key)
+        });
         result
     }
 
@@ -272,8 +308,8 @@ impl Tuner {
         Ok(())
     }
 
-    /// Stores a run, with the time of its end.
-    async fn save(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
+    /// Stores a run, with the time of its end. Returns false, and stores nothing, if another hub drives it now.
+    async fn save(&self, run: &mut Run, now: Millis) -> Result<bool, StoreError> {
         let has_ended = run.phase.has_ended() && run.due().is_empty();
         run.ended_ms = if has_ended {
             Some(run.ended_ms.unwrap_or(now))
@@ -283,13 +319,38 @@ impl Tuner {
         run.count_stages();
         let row = run.clone();
         let driver = self.driver.clone();
-        run.id = self
+        let stored = self
             .store
             .write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS))
             .await?;
+        let Some(id) = stored else {
+            tracing::warn!(
+                kind = run.kind.name(),
+                id = run.id,
+                "another hub drives it now"
+            );
+            return Ok(false);
+        };
+        run.id = id;
         run.unsaved = false;
-        Ok(())
+        Ok(true)
     }
+}
+
+/// Why nodes are left out, each reason once with the number of its nodes, the most frequent first.
+fn counted_reasons(left_out: &[LeftOut]) -> String {
+    if left_out.is_empty() {
+        return "; no other node is selected".to_owned();
+    }
+    let mut counts = BTreeMap::<&str, usize>::new();
+    for one in left_out {
+        *counts.entry(one.why.as_str()).or_default() += 1;
+    }
+    let mut reasons: Vec<(&str, usize)> = counts.into_iter().collect();
+    reasons.sort_by_key(|(_, nodes)| Reverse(*nodes));
+    let shown = reasons.iter().take(MOST_REASONS);
+    let shown: Vec<String> = shown.map(|(why, nodes)| format!("{nodes}: {why}")).collect();
+    format!("; left out are {}", shown.join("; "))
 }
 
 /// The present value of a node that can take part; else the reason that it cannot.
@@ -300,6 +361,9 @@ fn able(
 ) -> Result<Threshold, String> {
     if let Some(other) = taken.get(&node.node) {
         return Err(format!("takes part in {other}"));
+    }
+    if matches!(kind, Kind::Trial { .. }) && !node.is_reachable() {
+        return Err("is out of reach".to_owned());
     }
     if let Some(target) = node.target() {
         return Err(format!(
@@ -325,4 +389,25 @@ fn able(
         return Err("has the value already".to_owned());
     }
     Ok(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_that_are_left_out_are_counted_by_the_reason() {
+        let left_out = |node: &str, why: &str| LeftOut {
+            node: node.to_owned(),
+            why: why.to_owned(),
+        };
+        let several = [
+            left_out("cam-1", "takes part in rollout 2"),
+            left_out("cam-2", "has the value already"),
+            left_out("cam-3", "has the value already"),
+        ];
+        let expected = "; left out are 2: has the value already; 1: takes part in rollout 2";
+        assert_eq!(counted_reasons(&several), expected);
+        assert_eq!(counted_reasons(&[]), "; no other node is selected");
+    }
 }

@@ -7,7 +7,7 @@ use super::revision::Revision;
 use super::run::{BeforeAfterWindows, Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Cell, Columns, FromRow, IntoRow, Param, Row, read_all};
-use crate::store::{Database, DatabaseKind, Store, StoreError};
+use crate::store::{Database, DatabaseKind, Store, StoreError, statements};
 
 /// A rollout or trial is JSON in one column.
 impl FromRow for Run {
@@ -183,8 +183,8 @@ impl FromRow for ClipSums {
 /// number of rows of one table.
 pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
     let mut most = 0;
-    for text in include_str!("sql/delete_old.sql").split(';') {
-        let deleted = database.query(text, &[day.into()])?;
+    for statement in statements(include_str!("sql/delete_old.sql")) {
+        let deleted = database.query(&statement, &[day.into()])?;
         most = most.max(deleted.len());
     }
     Ok(most)
@@ -252,14 +252,14 @@ impl dyn Database + '_ {
         Ok(())
     }
 
-    /// Stores a rollout or trial, and renews the claim of `driver`, unless another hub drives it; one that has ended may
-    /// be stored by any hub. A new one gets its number, which is returned.
+    /// Stores a rollout or trial, and renews the claim of `driver`. A new one gets its number. Returns the number, or
+    /// stores nothing and returns `None` if another hub has taken the claim.
     pub(crate) fn save_run(
         &mut self,
         mut run: Run,
         driver: &str,
         until_ms: i64,
-    ) -> Result<i64, StoreError> {
+    ) -> Result<Option<i64>, StoreError> {
         let kind = run.kind.name();
         if run.id == 0 {
             let text = "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value";
@@ -274,10 +274,26 @@ impl dyn Database + '_ {
             state: serde_json::to_string(&run)?,
         };
         let conflict = "ON CONFLICT (kind, id) DO UPDATE SET ended_ms = excluded.ended_ms, state = excluded.state, \
-                        driver = excluded.driver, driven_until_ms = excluded.driven_until_ms \
-                        WHERE runs.driver = excluded.driver OR runs.ended_ms IS NOT NULL";
-        self.insert(&[row], conflict)?;
-        Ok(run.id)
+                        driven_until_ms = excluded.driven_until_ms WHERE runs.driver = excluded.driver RETURNING id";
+        let stored = self.insert(&[row], conflict)?;
+        if stored.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(run.id))
+    }
+
+    /// Claims a rollout or trial that has ended, so that `driver` can return its values. Returns false if it has not
+    /// ended.
+    pub(crate) fn claim_ended_run(
+        &mut self,
+        key: &RunKey,
+        driver: &str,
+    ) -> Result<bool, StoreError> {
+        let claimed = self.query(
+            "UPDATE runs SET driver = $1 WHERE kind = $2 AND id = $3 AND ended_ms IS NOT NULL RETURNING id",
+            &[driver.into(), key.kind.as_str().into(), key.id.into()],
+        )?;
+        Ok(!claimed.is_empty())
     }
 
     /// Claims the rollouts and trials whose claims ended before `now_ms`, and renews the claims of `driver`. An SQLite file has

@@ -280,3 +280,14 @@ pub(crate) async fn script(url: &str, statements: &'static str) {
     let mut connection = sqlx::PgConnection::connect(url).await.unwrap();
     connection.execute(sqlx::raw_sql(statements)).await.unwrap();
 }
+
+/// The whole number that a query finds, over a connection of its own.
+pub(crate) async fn number(url: &str, query: &'static str) -> i64 {
+    if let Some(file) = url.strip_prefix("sqlite:") {
+        let database = rusqlite::Connection::open(file).unwrap();
+        return database.query_row(query, [], |row| row.get(0)).unwrap();
+    }
+    use sqlx::Connection as _;
+    let mut connection = sqlx::PgConnection::connect(url).await.unwrap();
+    sqlx::query_scalar(query).fetch_one(&mut connection).await.unwrap()
+}

@@ -1,11 +1,11 @@
 //! Thousands of hostile batches from the payload to the rows, without a network, with a real database.
 
 use crate::config::{DatabaseConfig, HistoryConfig};
-use crate::ingest::limits::{PRESENCE, SET_ASIDE};
+use crate::ingest::limits::{NEW_CAMERAS, PRESENCE, SET_ASIDE};
 use crate::ingest::{Batch, Recorder, decode};
 use crate::presence::{NodeView, PresenceState};
 use crate::store::Store;
-use albireo_service::clock::Now;
+use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{REPORT_DICTIONARY, VERSION};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -249,4 +249,57 @@ fn a_node_can_send_neither_the_report_nor_the_batch_of_another() {
     let batch = decoded("car-1", &json!([report_of_another])).unwrap();
     assert!(batch.reports[0].content.is_err());
     assert!(decoded("car-2", &json!([report(1)])).is_err());
+}
+
+/// Reports of these numbers, each of a camera of its own.
+fn of_cameras(numbers: std::ops::RangeInclusive<u64>) -> Vec<Value> {
+    let of_camera = |number| {
+        let mut report = report(number);
+        report["camera"] = format!("c{number}").into();
+        report
+    };
+    numbers.map(of_camera).collect()
+}
+
+#[tokio::test]
+async fn a_camera_under_a_new_name_is_stored_however_many_names_its_node_has_had() {
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
+    let (store, mut recorder) = recorder(&folder, now).await;
+    for day in 0_u64..3 {
+        let first = 300 * day + 1;
+        let batch = decoded("car-1", &json!(of_cameras(first..=first + 299))).unwrap();
+        let then = Now {
+            unix_ms: NOW_MS + day.cast_signed() * DAY_MS,
+            ..now
+        };
+        let done = recorder.record(&[batch], &[], then).unwrap();
+        assert_eq!(done.counts.clips, 300, "{day}");
+    }
+    store.close().await;
+}
+
+#[tokio::test]
+async fn a_report_of_one_camera_too_many_is_set_aside_whole_and_the_others_are_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
+    let (store, mut recorder) = recorder(&folder, now).await;
+    let most = u64::from(NEW_CAMERAS.most);
+    let reports = of_cameras(1..=most + 1);
+    let batch = decoded("car-1", &json!(reports)).unwrap();
+    let done = recorder.record(&[batch], &[], now).unwrap();
+    assert_eq!(done.counts.clips, most);
+    assert_eq!(done.counts.set_aside, 1);
+    // What counts for its share does not grow with the names.
+    assert_eq!(done.cameras, [albireo_wire::MOST_CAMERAS]);
+    let kept = store.set_aside(None, None, 10).await.unwrap();
+    let body: Value = serde_json::from_str(&kept[0].body).unwrap();
+    assert_eq!(Some(&body), reports.last());
+    // A known camera is stored on the same day.
+    let mut again = report(most + 2);
+    again["camera"] = "c1".into();
+    let batch = decoded("car-1", &json!([again])).unwrap();
+    let done = recorder.record(&[batch], &[], now).unwrap();
+    assert_eq!(done.counts.clips, 1);
+    store.close().await;
 }

@@ -538,3 +538,25 @@ fn an_invalid_plan_is_rejected_with_its_field() {
     let error = Run::begin(nobody, vec![], 1, "ops", 0).unwrap_err();
     assert!(error.starts_with("select: no selected node"), "{error}");
 }
+
+#[test]
+fn stages_that_shrink_are_rejected_and_those_that_a_small_fleet_makes_equal_are_not() {
+    let begin = |nodes: usize, stages: &[&str]| {
+        let plan = RolloutPlan {
+            stages: stages.iter().map(|size| (*size).to_owned()).collect(),
+            ..plan()
+        };
+        let kind = Kind::Rollout { to: new(), plan };
+        Run::begin(kind, World::new(nodes).candidates(), 7, "ops", 0)
+    };
+    for stages in [["50%", "10%"], ["all", "50%"], ["20", "10%"]] {
+        let error = begin(40, &stages).unwrap_err();
+        assert!(error.starts_with("stages: of 40 nodes"), "{error}");
+    }
+    for nodes in [1, 2, 5, 40] {
+        assert!(
+            begin(nodes, &["1", "10%", "50%", "100%"]).is_ok(),
+            "{nodes}"
+        );
+    }
+}
