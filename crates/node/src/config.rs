@@ -132,13 +132,10 @@ impl NodeConfig {
 
     /// The files of the models, by key.
     fn model_files(&self) -> [(&'static str, Option<&Path>); 3] {
-        let names = match &self.detector.class_names {
-            Some(ClassNames::File(names)) => Some(names.as_path()),
-            _ => None,
-        };
+        let names = self.detector.class_names.as_ref();
         [
             ("detector.model", Some(&self.detector.model)),
-            ("detector.class_names", names),
+            ("detector.class_names", names.and_then(ClassNames::file)),
             ("screen.model", self.screen.model.as_deref()),
         ]
     }

@@ -2,7 +2,6 @@
 
 mod address;
 mod config;
-mod connection;
 mod discovery;
 mod hook;
 mod mailbox;

@@ -20,6 +20,7 @@ mod run;
 mod settings;
 mod start;
 pub mod state;
+mod state_files;
 
 pub use camera::PolicyMaker;
 pub use camera::evidence::LiveEvidence;

@@ -11,6 +11,7 @@ use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
 use albireo_vision::detector::{
     DetectorConfig, DetectorNetwork, ExecutionProvider, USUAL_PICTURE, compare_with_cpu,
+    named_classes,
 };
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::ScreenHandle;
@@ -199,7 +200,7 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Tr
         provider.as_str(),
         loaded.as_secs_f64(),
         network.description(),
-        network.class_names().join(", "),
+        named_classes(network.class_names()).join(", "),
     );
     if !network.left_out().is_empty() {
         let others = network.left_out().len();

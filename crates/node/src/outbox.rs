@@ -41,6 +41,8 @@ pub struct OutboxCounts {
     pub kept: u64,
     /// Reports acknowledged since the node started.
     pub acknowledged: u64,
+    /// Reports since the node started that a hub refused for good, or that could not be read.
+    pub refused: u64,
     /// The number of disk failures.
     pub disk_failures: u64,
     /// The reason why nothing can be stored on disk now.
@@ -60,6 +62,14 @@ impl OutboxCounts {
         }
         if self.failing.is_some() {
             let reason = "clip reports wait in memory and do not survive a power loss";
+            return Some(Fault::degraded(reason));
+        }
+        if self.refused > 0 {
+            let reason = format!(
+                "clip reports that no hub will get, because one refused them or they cannot be read: {} since the start \
+                 (the log says why)",
+                self.refused
+            );
             return Some(Fault::degraded(reason));
         }
         None

@@ -33,14 +33,15 @@ pub use message::{AuditMessage, EventMessage, Topic};
 pub use picture::{PictureKind, picture_in_json, picture_in_protobuf};
 pub use read::{Channel, Message, Messages, Overview};
 
+use mcap::McapError;
 use std::path::Path;
 
 /// The ending of the names of recordings.
 pub const EXTENSION: &str = "mcap";
 
-/// True for a path with the ending of recordings.
+/// True for a path with the ending of recordings, in small or capital letters.
 pub fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending == EXTENSION)
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case(EXTENSION))
 }
 
 /// A reason why a recording cannot be written or read.
@@ -49,10 +50,24 @@ pub enum RecordingError {
     /// The file system refuses.
     #[error(transparent)]
     Io(#[from] std::io::Error),
-    /// The file is not what its format asks for.
-    #[error(transparent)]
-    Mcap(#[from] mcap::McapError),
+    /// The file is not what its format asks for, or cannot be written or unpacked.
+    #[error("{}", in_words(.0))]
+    Mcap(McapError),
     /// A message is not what its schema says.
     #[error("{0}")]
     Message(String),
+}
+
+impl From<McapError> for RecordingError {
+    fn from(error: McapError) -> Self {
+        Self::Mcap(error)
+    }
+}
+
+/// What went wrong. The words of [`McapError::Io`] are the same for a full disk and for damaged data.
+fn in_words(error: &McapError) -> String {
+    match error {
+        McapError::Io(cause) => cause.to_string(),
+        other => other.to_string(),
+    }
 }

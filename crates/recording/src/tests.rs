@@ -229,3 +229,10 @@ fn what_is_no_recording_is_refused_with_a_reason() {
     }
     assert!(Overview::read(Path::new("no/such.mcap")).is_err());
 }
+
+#[test]
+fn a_full_disk_is_called_a_full_disk() {
+    let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
+    let error = RecordingError::from(McapError::Io(full()));
+    assert_eq!(error.to_string(), full().to_string());
+}

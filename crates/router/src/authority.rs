@@ -11,6 +11,7 @@ pub use list::{Entry, Role};
 
 use crate::error::{RouterError, about, at, other};
 use albireo_service::clock::unix_milliseconds;
+use albireo_wire::{check_node_name, check_segment};
 use list::List;
 use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
@@ -18,6 +19,7 @@ use rcgen::{
 };
 use std::fs::{self, Permissions};
 use std::io::Write;
+use std::net::IpAddr;
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -33,6 +35,12 @@ pub const DAY: Duration = Duration::from_secs(86_400);
 
 /// How long before its creation a certificate is valid already, seconds: the clock of a board that just booted may be behind.
 const VALID_BEFORE_S: i64 = 86_400;
+
+/// The most characters of a DNS name.
+const LONGEST_NAME: usize = 253;
+
+/// The most characters between two dots of a DNS name.
+const LONGEST_LABEL: usize = 63;
 
 /// A new certificate: its paths and its entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,7 +92,7 @@ impl Authority {
     /// Opens the authority in `folder` and locks it against other changes.
     ///
     /// # Errors
-    /// [`RouterError`] if there is none or its files cannot be read.
+    /// [`RouterError`] if there is none, or its files cannot be read or do not belong together.
     pub fn open(folder: &Path) -> Result<Self, RouterError> {
         let file = folder.join(AUTHORITY);
         // Before the list, whose lock is a file: a look into another folder leaves nothing there.
@@ -98,6 +106,11 @@ impl Authority {
         let name = subject(&file)?;
         let key_file = folder.join(AUTHORITY_KEY);
         let key = KeyPair::from_pem(&read(&key_file)?).map_err(at(&key_file))?;
+        // Whoever trusts the certificate would refuse all that this key signs.
+        if public_key(&file)? != key.public_key_raw() {
+            let reason = "the certificate belongs to another key than that in authority.key: restore both from one backup";
+            return Err(about(&file, reason));
+        }
         Ok(Self {
             folder: folder.to_owned(),
             name,
@@ -115,7 +128,8 @@ impl Authority {
     /// for routers and for hubs that act as routers.
     ///
     /// # Errors
-    /// [`RouterError`] if the name is invalid or already has a certificate that is not revoked, or if a file cannot be written.
+    /// [`RouterError`] if the name or a host is invalid, if the name already has a certificate that is not revoked, or if a
+    /// file cannot be written.
     pub fn issue(
         &mut self,
         role: Role,
@@ -123,7 +137,13 @@ impl Authority {
         hosts: &[String],
         lasts: Duration,
     ) -> Result<Issued, RouterError> {
-        albireo_wire::check_segment("name", name)?;
+        match role {
+            Role::Node => check_node_name(name)?,
+            Role::Hub | Role::Router => check_segment("name", name)?,
+        }
+        for host in hosts {
+            check_host(host)?;
+        }
         if self.list.unrevoked(role, name).is_ok() {
             return other(format!(
                 "{role} `{name}` has a certificate that is not revoked; renew it, or revoke it first"
@@ -199,6 +219,29 @@ impl Authority {
     }
 }
 
+/// Checks that a certificate can name `host`: nodes look for the address or the name alone.
+fn check_host(host: &str) -> Result<(), RouterError> {
+    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
+    let is_label = |label: &str| {
+        (1..=LONGEST_LABEL).contains(&label.len())
+            && label.bytes().all(is_allowed)
+            && !label.starts_with('-')
+            && !label.ends_with('-')
+    };
+    let name = host.strip_prefix("*.").unwrap_or(host);
+    let last = name.rsplit('.').next().unwrap_or_default();
+    // Then it was meant to be an address.
+    let ends_in_number = last.bytes().all(|byte| byte.is_ascii_digit());
+    let is_name = name.len() <= LONGEST_NAME && name.split('.').all(is_label) && !ends_in_number;
+    if is_name || host.parse::<IpAddr>().is_ok() {
+        return Ok(());
+    }
+    other(format!(
+        "the host `{host}` is neither an IP address nor a DNS name: write it without scheme, port and brackets, as in \
+         router.example or 203.0.113.7"
+    ))
+}
+
 fn authority_params(name: &str) -> CertificateParams {
     let mut params = CertificateParams::default();
     params.distinguished_name = common_name(name);
@@ -266,6 +309,14 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
         Some(name) => Ok(name.to_owned()),
         None => Err(about(file, "the certificate has no common name")),
     }
+}
+
+/// Returns the public key in the certificate in a file.
+fn public_key(file: &Path) -> Result<Vec<u8>, RouterError> {
+    let text = read(file)?;
+    let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
+    let certificate = pem.parse_x509().map_err(at(file))?;
+    Ok(certificate.public_key().subject_public_key.data.to_vec())
 }
 
 /// Sets the validity: from [`VALID_BEFORE_S`] ago until `lasts` from now. Returns its end in seconds since the Unix epoch.

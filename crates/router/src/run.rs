@@ -3,7 +3,10 @@
 use crate::error::{RouterError, about, at, other};
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
-use albireo_service::config::{Finding, HttpConfig};
+use albireo_service::config::{
+    ConfigError, EndpointUse, Finding, Findings, HttpConfig, check_endpoint,
+};
+use albireo_service::http::read_token;
 use albireo_service::identity::{self, Certificates, exposed};
 use albireo_service::notify;
 use albireo_service::readiness::{Fault, Readiness};
@@ -56,6 +59,7 @@ impl RouterOptions {
         let in_config = |error| about(&self.config, plain(&error));
         let mut config = Config::from_file(&self.config).map_err(in_config)?;
         config.insert_json5("mode", "\"router\"").map_err(in_config)?;
+        self.check_endpoints(&config)?;
         if let Some(file) = &self.access {
             let text = std::fs::read_to_string(file).map_err(at(file))?;
             config
@@ -74,6 +78,55 @@ impl RouterOptions {
             ));
         }
         Ok(config)
+    }
+
+    fn check_endpoints(&self, config: &Config) -> Result<(), RouterError> {
+        let uses = [
+            ("listen", EndpointUse::Listen),
+            ("connect", EndpointUse::Connect),
+        ];
+        for (section, usage) in uses {
+            for endpoint in session::endpoints(config, section) {
+                if let Err(reason) = check_endpoint(&endpoint, usage) {
+                    let reason = format!("{section}/endpoints: {reason}");
+                    return Err(about(&self.config, reason));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the errors in the options for HTTP.
+    pub fn check(&self, findings: &mut Findings) {
+        findings.path("--http-token-file", self.http_token_file.as_deref());
+        if self.http().is_unprotected(&[]) {
+            let reason = HttpConfig::unprotected(self.http, "set --http-token-file");
+            findings.add("--http", reason);
+        }
+    }
+
+    /// Looks for the files on this machine that the router reads when it starts; `config` is its configuration.
+    ///
+    /// # Errors
+    /// Those that cannot be read.
+    pub fn look_here(&self, config: &Config) -> Result<(), ConfigError> {
+        let mut findings = Findings::default();
+        for kind in ["certificate", "private_key"] {
+            for (key, file) in identity::tls_files(config, kind) {
+                let wrong = |error| format!("{} cannot be read: {error}", file.display());
+                findings.check(key, std::fs::read(&file).map_err(wrong));
+            }
+        }
+        if let Some(file) = &self.http_token_file {
+            findings.check("--http-token-file", read_token(file));
+        }
+        if findings.0.is_empty() {
+            return Ok(());
+        }
+        Err(ConfigError {
+            file: self.config.display().to_string(),
+            findings: findings.0,
+        })
     }
 
     /// Finds files with secrets that other users of this machine can read. Names none of a configuration that cannot be
@@ -208,4 +261,73 @@ async fn route(
         tracing::warn!("the router's session was not closed cleanly");
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// The options of a router with this configuration in `folder`.
+    fn options(folder: &Path, config: &str) -> RouterOptions {
+        let file = folder.join("router.json5");
+        std::fs::write(&file, config).unwrap();
+        RouterOptions {
+            config: file,
+            access: None,
+            no_access_control: false,
+            http: SocketAddr::from(([127, 0, 0, 1], 8095)),
+            http_token_file: None,
+            probe_s: 60,
+        }
+    }
+
+    #[test]
+    fn a_router_without_its_files_is_told_which_are_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("router.key");
+        std::fs::write(&key, "").unwrap();
+        let config = format!(
+            r#"{{ listen: {{ endpoints: ["tls/127.0.0.1:7447"] }}, transport: {{ link: {{ tls: {{
+            root_ca_certificate: "/nowhere/authority.pem", listen_certificate: "/nowhere/router.pem",
+            listen_private_key: "{}" }} }} }} }}"#,
+            key.display()
+        );
+        let mut options = options(folder.path(), &config);
+        options.http_token_file = Some("/nowhere/token".into());
+        let config = options.zenoh().unwrap();
+        let missing = options.look_here(&config).unwrap_err();
+        let keys: Vec<_> = missing.findings.iter().map(|one| one.key.as_str()).collect();
+        assert_eq!(
+            keys,
+            [
+                "listen_certificate",
+                "root_ca_certificate",
+                "--http-token-file"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_port_that_is_none_is_refused_before_the_router_starts() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = r#"{ listen: { endpoints: ["tcp/127.0.0.1:99999"] } }"#;
+        let refused = options(folder.path(), config).zenoh().err().unwrap();
+        let reason = refused.to_string();
+        assert!(reason.contains("listen/endpoints: `tcp/"), "{reason}");
+        assert!(reason.contains("has the port `99999`"), "{reason}");
+    }
+
+    #[test]
+    fn a_router_that_others_can_reach_is_told_of_an_option_that_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = options(folder.path(), "{}");
+        options.http = SocketAddr::from(([0, 0, 0, 0], 8095));
+        let mut findings = Findings::default();
+        options.check(&mut findings);
+        let found = findings.0[0].to_string();
+        let begin = "--http: 0.0.0.0:8095 can be reached";
+        assert!(found.starts_with(begin), "{found}");
+        assert!(found.ends_with("set --http-token-file"), "{found}");
+    }
 }

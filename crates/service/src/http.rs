@@ -6,6 +6,7 @@ mod caller;
 mod index;
 mod page;
 mod problem;
+mod query;
 mod serve;
 
 pub(crate) use auth::wrong_tokens;
@@ -14,4 +15,5 @@ pub use caller::*;
 pub use index::{Route, routes};
 pub use page::with_page;
 pub use problem::{Problem, describe, response, within};
+pub use query::refuse_unread_queries;
 pub use serve::run;

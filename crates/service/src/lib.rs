@@ -4,6 +4,7 @@
 pub mod archive;
 pub mod clock;
 pub mod config;
+pub mod connection;
 pub mod http;
 pub mod identity;
 pub mod logging;

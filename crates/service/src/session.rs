@@ -1,6 +1,8 @@
 //! Opens the Zenoh sessions of a service or a tool. Opening waits for the network, so it never runs on an async
 //! worker.
 
+mod causes;
+
 use crate::ServiceError;
 use crate::config::{UplinkConfig, ZenohConfig};
 use std::fmt::Display;
@@ -24,6 +26,12 @@ pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Re
             .map_err(|error| format!("{key} = {value}: {}", plain(&error)))?;
     }
     Ok(())
+}
+
+/// The endpoints in the section `connect` or `listen` of a Zenoh configuration, but those of only some modes.
+pub fn endpoints(config: &zenoh::Config, section: &str) -> Vec<String> {
+    let json = config.get_json(&format!("{section}/endpoints")).unwrap_or_default();
+    serde_json::from_str(&json).unwrap_or_default()
 }
 
 /// Opens a session as configured, with `settings` added. `max_payload_bytes` limits what is accepted from the network. A
@@ -68,7 +76,10 @@ pub async fn open(
         };
         let error = match not_listening(&key, &reason) {
             Some(words) => ServiceError(words),
-            None => ServiceError(format!("Zenoh session not opened ({place}): {reason}")),
+            None => {
+                let cause = causes::of(&zenoh, reason).await;
+                ServiceError(format!("Zenoh session not opened ({place}): {cause}"))
+            }
         };
         if !retries {
             return Err(error);
@@ -123,12 +134,15 @@ pub async fn open_uplink(uplink: &UplinkConfig) -> Result<Session, ServiceError>
     let config = uplink
         .to_zenoh(jittered(Duration::from_millis(1000)))
         .map_err(|reason| ServiceError(format!("[uplink] {reason}")))?;
-    attempt(config).await.map_err(|reason| {
-        let place = uplink.connect.join(", ");
-        ServiceError(format!(
-            "the hub's router cannot be reached ({place}): {reason}"
-        ))
-    })
+    match attempt(config.clone()).await {
+        Ok(session) => Ok(session),
+        Err(reason) => {
+            let cause = causes::of(&config, reason).await;
+            Err(ServiceError(format!(
+                "the hub's router cannot be reached: {cause}"
+            )))
+        }
+    }
 }
 
 /// A random duration between half and one and a half of `pause`, so that many nodes do not retry at the same time.

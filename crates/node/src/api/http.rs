@@ -185,7 +185,8 @@ pub(crate) struct RouterSetup {
 
 /// The router of the node: all routes, their OpenAPI document and the page.
 pub(crate) fn router(setup: RouterSetup, shutdown: CancellationToken) -> Router {
-    let (router, _) = described();
+    let (router, document) = described();
+    let router = http::refuse_unread_queries(router, document);
     #[cfg(feature = "swagger")]
     let router = router.merge(
         // The document is served below: this only gives its address to the page.

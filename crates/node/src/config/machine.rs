@@ -240,14 +240,19 @@ fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
 
 /// Adds an error if a folder cannot be written to or created.
 fn writable(key: &str, folder: &Path, findings: &mut Findings) {
-    // The nearest existing folder: the node creates the rest when it starts.
-    let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {
-        return;
-    };
+    // The nearest existing folder, or a link that leads nowhere: the node creates the rest when it starts. A relative path
+    // begins where the program runs.
+    let is_there = |folder: &&Path| folder.symlink_metadata().is_ok();
+    let there = folder.ancestors().find(is_there).unwrap_or(Path::new("."));
     // By writing, because permissions are not the only possible reason: a full disk takes an empty file.
     let probe = there.join(format!(".albireo-check-{}", std::process::id()));
     if let Err(error) = std::fs::write(&probe, [0; 64 << 10]) {
-        let fault = format!("{} cannot be used as a folder: {error}", there.display());
+        let reason = if there.exists() {
+            error.to_string()
+        } else {
+            "it is a link to a place that is not there".to_owned()
+        };
+        let fault = format!("{} cannot be used as a folder: {reason}", there.display());
         findings.add(key, fault);
     }
     let _ = std::fs::remove_file(&probe);
@@ -279,6 +284,35 @@ mod tests {
         let expected = "detector.model detector.class_names screen.model detector.onnxruntime http.token_file \
                         uplink.root_ca_certificate node.state_dir";
         assert_eq!(keys(config.here().missing).join(" "), expected);
+    }
+
+    #[test]
+    fn a_link_to_nowhere_is_no_folder_that_can_be_created() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("state");
+        std::os::unix::fs::symlink("nowhere", &link).unwrap();
+        for path in [link.clone(), link.join("deeper")] {
+            let mut findings = Findings::default();
+            writable("node.state_dir", &path, &mut findings);
+            let found = findings.0[0].to_string();
+            let expected = format!(
+                "{} cannot be used as a folder: it is a link",
+                link.display()
+            );
+            assert!(found.contains(&expected), "{found}");
+        }
+    }
+
+    #[test]
+    fn a_list_of_classes_that_is_built_in_is_not_looked_for_as_a_file() {
+        let mut config = NodeConfig::default();
+        config.detector.model = PathBuf::from("/nowhere/detector.onnx");
+        for name in ["coco", "coco91"] {
+            config.detector.class_names = Some(ClassNames::File(name.into()));
+            let missing = keys(config.here().missing);
+            let is_missing = missing.iter().any(|key| key == "detector.class_names");
+            assert!(!is_missing, "{missing:?}");
+        }
     }
 
     #[test]

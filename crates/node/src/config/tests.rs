@@ -73,8 +73,14 @@ fn answers_at_once_need_a_policy_that_predicts_and_time_to_settle() {
 /// The rejected key, and a configuration with lines separated by `&`.
 const IMPOSSIBLE: &str = r#"
 node.name: node.name = "a/b"
+node.name: node.name = ".."
+node.name: node.name = "all"
 node.prefix: node.prefix = ""
 node.state_dir: node.state_dir = ""
+node.state_dir: node.state_dir = "${HOME}/state"
+record.folder: record.folder = "$HOME/recordings"
+zenoh.listen: zenoh.listen = ["tcp/127.0.0.1:99999"]
+uplink.connect: uplink.connect = ["tcp/localhost"]
 zenoh.mode: zenoh.mode = "boss"
 zenoh.listen: zenoh.listen = ["127.0.0.1:7447"]
 zenoh.connect: zenoh.mode = "client"
@@ -116,12 +122,14 @@ sightings.leave_s: sightings.leave_s = -1
 sightings.appear_s: sightings.appear_s = 3601
 mqtt.broker: mqtt.broker = "broker.example:1883"
 mqtt.broker: mqtt.broker = "mqtt://ann:secret@broker.example"
+mqtt.broker: mqtt.broker = "mqtt://127.0.0.1:99999"
 mqtt.broker: mqtt.user = "ann"
 mqtt.password_file: mqtt.broker = "mqtt://b" & mqtt.password_file = "p"
 mqtt.root_ca_certificate: mqtt.broker = "mqtt://b" & mqtt.root_ca_certificate = "a.pem"
 mqtt.discovery: mqtt.discovery = "home/#"
 hook[0].url: hook = [{ classes = ["car"] }]
 hook[0].url: hook = [{ url = "house.example/hook" }]
+hook[0].url: hook = [{ url = "http://127.0.0.1:99999/x" }]
 hook[0].url_file: hook = [{ url = "http://a", url_file = "b" }]
 hook[0].cameras: hook = [{ url = "http://a", cameras = ["fornt"] }]
 camera: camera = []
@@ -160,6 +168,33 @@ fn an_impossible_value_is_rejected_with_its_key() {
         let expected = format!("{key}: ");
         assert!(found.starts_with(&expected), "{text}: {found}");
     }
+}
+
+#[test]
+fn a_name_that_is_too_long_for_keys_and_files_is_rejected() {
+    for (bytes, is_valid) in [(64, true), (65, false)] {
+        let name = "n".repeat(bytes);
+        let node = load(&format!("node.name = \"{name}\"\n"));
+        assert_eq!(node.is_ok(), is_valid);
+        let camera = load(&format!("[[camera]]\nname = \"{name}\"\n"));
+        assert_eq!(camera.is_ok(), is_valid);
+    }
+}
+
+#[test]
+fn a_node_with_a_hub_has_no_more_cameras_than_a_hub_takes() {
+    let most = albireo_wire::MOST_CAMERAS;
+    let cameras = |number: usize| -> String {
+        (0..number)
+            .map(|camera| format!("[[camera]]\nname = \"c{camera}\"\n"))
+            .collect()
+    };
+    let uplink = "uplink.connect = [\"tcp/hub.example:7447\"]\n";
+    assert!(load(&format!("{uplink}{}", cameras(most))).is_ok());
+    assert!(load(&cameras(most + 1)).is_ok());
+    let found = problem(&format!("{uplink}{}", cameras(most + 1)));
+    let expected = format!("camera: names {} cameras; ", most + 1);
+    assert!(found.starts_with(&expected), "{found}");
 }
 
 #[test]

@@ -10,8 +10,12 @@ use crate::state::board::SightingsConfig;
 use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, no_pause};
 use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
+use albireo_wire::{MOST_CAMERAS, check_node_name, check_segment};
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
+
+/// Longest name of a camera, bytes: it is a part of the names of recordings.
+const LONGEST_CAMERA_NAME: usize = 64;
 
 const WRITTEN: &str = "is what this node writes or answers itself; frames need a key of their own";
 const NO_SOURCE: &str = "applies only to a camera with a source, and this one has none";
@@ -60,10 +64,10 @@ outbox.retry_min_ms: a batch is sent again after 1 s, then after pauses that dou
 outbox.retry_max_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
 outbox.status_s: the hub sets the time between heartbeats
 uplink.retry_max_ms: the connection to the router is retried after at most 30 s
-uplink.verify_name: the router's certificate is always compared with its name: `albireo certificate` takes \
+uplink.verify_name: the router's certificate is always compared with its name: `albireo cert` takes \
     several names and addresses
-uplink.user: a node identifies itself by uplink.certificate, which `albireo certificate` creates
-uplink.password_file: a node identifies itself by uplink.certificate, which `albireo certificate` creates
+uplink.user: a node identifies itself by uplink.certificate, which `albireo cert` creates
+uplink.password_file: a node identifies itself by uplink.certificate, which `albireo cert` creates
 http.timeout_ms: a request may take 10 s
 http.idle_timeout_ms: a connection that is silent for 30 s is closed
 http.max_connections: 256 connections may be open at a time
@@ -143,7 +147,7 @@ enum KeyOwner<'a> {
 
 impl NodeConfig {
     fn check_names(&self, findings: &mut Findings) {
-        let name = albireo_wire::check_segment("node name", &self.node.name);
+        let name = check_node_name(&self.node.name);
         if findings.check("node.name", name).is_some() {
             findings.check("node.prefix", self.keys());
         }
@@ -276,6 +280,12 @@ impl NodeConfig {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
         }
+        let number = self.cameras.len();
+        if self.uplink.is_set() && number > MOST_CAMERAS {
+            let reason =
+                format!("names {number} cameras; a hub takes at most {MOST_CAMERAS} of a node");
+            findings.add("camera", reason);
+        }
         let mut names = HashSet::new();
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
@@ -342,15 +352,23 @@ impl NodeConfig {
     }
 }
 
-fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &mut Findings) {
-    let name = albireo_wire::check_segment("camera name", &camera.name);
-    let is_right = findings.check(key("name"), name).is_some();
-    if is_right && camera.name.bytes().all(|byte| byte == b'.') {
-        findings.add(
-            key("name"),
-            "must not be only dots, which mean something else in an HTTP path",
-        );
+/// Checks that `name` can be a part of keys, of paths of HTTP and of names of files.
+fn check_camera_name(name: &str) -> Result<(), String> {
+    let length = name.len();
+    if length > LONGEST_CAMERA_NAME {
+        return Err(format!(
+            "has {length} bytes: it must have at most {LONGEST_CAMERA_NAME}"
+        ));
     }
+    check_segment("camera name", name).map_err(|error| error.to_string())?;
+    if name.bytes().all(|byte| byte == b'.') {
+        return Err("must not be only dots, which mean something else in an HTTP path".to_owned());
+    }
+    Ok(())
+}
+
+fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &mut Findings) {
+    findings.check(key("name"), check_camera_name(&camera.name));
     if let Some(frames) = &camera.key {
         match KeyExpr::try_from(frames.as_str()) {
             Ok(expression) if expression.is_wild() => findings.add(

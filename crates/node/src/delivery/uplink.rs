@@ -174,17 +174,17 @@ impl Worker {
                     None => return,
                 },
                 Err(error) => {
-                    tracing::warn!("{error:#}");
-                    "the hub's router cannot be reached"
+                    tracing::warn!("{error}");
+                    error.to_string()
                 }
             };
             match self.setup.board.certificates.invalid() {
                 // A session that failed for a certificate does not come back by itself.
                 Some(fault) => {
-                    let why = format!("{failed}: {fault}");
+                    let why = format!("{failed}; {fault}");
                     self.health.no_session(&why, Duration::ZERO);
                 }
-                None => self.health.no_session(failed, self.schedule.offline()),
+                None => self.health.no_session(&failed, self.schedule.offline()),
             }
             let pause = sleep(self.reconnect.next());
             if self.stop.run_until_cancelled(pause).await.is_none() {
@@ -194,7 +194,7 @@ impl Worker {
     }
 
     /// Serves the hub over a session, and closes it. Returns what failed; `None` if the node stops.
-    async fn serve_and_close(&mut self, session: Session) -> Option<&'static str> {
+    async fn serve_and_close(&mut self, session: Session) -> Option<String> {
         let began = Instant::now();
         let served = self.serve(&session).await;
         if began.elapsed() > MIN_UPTIME {
@@ -207,7 +207,7 @@ impl Worker {
         }
         let error = session::plain(&served.err()?);
         tracing::error!(error, "cannot communicate with the hub");
-        Some("cannot communicate with the hub")
+        Some(format!("cannot communicate with the hub: {error}"))
     }
 
     /// Serves the hub over `session` until the node stops.
@@ -443,6 +443,27 @@ mod tests {
         let found = tokio::time::timeout(Duration::from_secs(60), works).await;
         assert!(found.unwrap().is_ok());
         assert_eq!(node.outbox.counts().status.waiting, 0);
+        uplink.stop().await;
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_router_that_is_not_reached_is_named_with_the_cause() {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp/{}", free.local_addr().unwrap());
+        drop(free);
+        let mut config = NodeConfig::default();
+        config.outbox.offline_h = 0.0;
+        config.uplink.connect = vec![endpoint.clone()];
+        let node = PreparedNode::new(&config).unwrap();
+        let mut health = node.board.readiness.subscribe();
+        let uplink = Uplink::start(setup(&node, config, None));
+        let expected = format!("{endpoint}: refuses the connection: nothing listens there");
+        let fault = health.wait_for(|health| {
+            let reason = health.reasons.get(readiness::UPLINK);
+            reason.is_some_and(|reason| reason.contains(&expected))
+        });
+        let found = tokio::time::timeout(Duration::from_secs(60), fault).await;
+        assert!(found.unwrap().is_ok());
         uplink.stop().await;
     }
 

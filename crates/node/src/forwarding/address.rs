@@ -1,11 +1,13 @@
 //! Addresses of hooks and brokers. A hook's may hold secrets, in its user, path or query: only scheme, host and port are shown.
 
+use albireo_service::connection::Connector;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use hyper::Uri;
 use percent_encoding::percent_decode_str;
 use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
+use std::path::Path;
 
 /// A place in the network.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,6 +16,18 @@ pub(crate) struct Endpoint {
     pub host: String,
     pub port: u16,
     pub is_secure: bool,
+}
+
+impl Endpoint {
+    /// What connects to it. Reads the certificates of the authorities that may sign its own: those of a file, or the
+    /// system's.
+    pub(super) fn connector(&self, authority: Option<&Path>) -> Result<Connector, String> {
+        if self.is_secure {
+            Connector::secure(&self.host, self.port, authority)
+        } else {
+            Ok(Connector::plain(&self.host, self.port))
+        }
+    }
 }
 
 impl fmt::Display for Endpoint {
@@ -85,10 +99,26 @@ fn parse(text: &str, schemes: &Schemes) -> Result<(Uri, Endpoint), String> {
     let place = Endpoint {
         scheme: scheme.name,
         host: host.to_owned(),
-        port: uri.port_u16().unwrap_or(scheme.usual_port),
+        port: port(&uri)?.unwrap_or(scheme.usual_port),
         is_secure,
     };
     Ok((uri, place))
+}
+
+/// The port that an address names.
+fn port(uri: &Uri) -> Result<Option<u16>, String> {
+    let authority = uri.authority().map_or("", |authority| authority.as_str());
+    // A colon stands in a login and in an address of IPv6, too.
+    let place = authority.rsplit('@').next().unwrap_or_default();
+    let behind_host = place.rsplit(']').next().unwrap_or_default();
+    let Some((_, port)) = behind_host.split_once(':') else {
+        return Ok(None);
+    };
+    match port.parse() {
+        Ok(port) if port > 0 => Ok(Some(port)),
+        // Not shown: it is a password where `@` and the host are missing.
+        _ => Err("has something else for its port than a number from 1 to 65535".to_owned()),
+    }
 }
 
 /// Reads a broker's address.
@@ -236,6 +266,9 @@ mod tests {
             ("https://s3 cret", "is no address"),
             ("", "must begin with"),
             ("https://", "is no address"),
+            ("http://127.0.0.1:99999/s3cret", "a number from 1 to 65535"),
+            ("http://ann:s3cret@[::1]:0", "a number from 1 to 65535"),
+            ("http://ann:s3cret", "a number from 1 to 65535"),
         ] {
             let found = HookUrl::new(text).target().err().unwrap();
             assert!(found.contains(reason), "{found}");
@@ -245,6 +278,10 @@ mod tests {
             ("broker.example:1883", "must begin with mqtt:// or mqtts://"),
             ("mqtt://ann:s3cret@b", "set mqtt.user"),
             ("mqtt://b/topic", "has a path"),
+            ("mqtt://127.0.0.1:99999", "a number from 1 to 65535"),
+            ("mqtt://b:-1", "a number from 1 to 65535"),
+            ("mqtt://b:abc", "a number from 1 to 65535"),
+            ("mqtt://b:", "a number from 1 to 65535"),
         ] {
             let found = broker(text).unwrap_err();
             assert!(found.contains(reason), "{found}");

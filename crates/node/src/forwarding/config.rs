@@ -1,7 +1,7 @@
 //! The sections `[mqtt]` and `[[hook]]`.
 
 use super::address::{self, Endpoint, HookUrl, Target};
-use albireo_service::config::{Finding, Findings};
+use albireo_service::config::{Finding, Findings, first_line};
 use albireo_service::identity::exposed;
 use albireo_wire::Sighting;
 use serde::{Deserialize, Serialize};
@@ -44,13 +44,12 @@ const LONGEST_SECRET: usize = 4096;
 /// The file, and why its first line cannot be used; does not show it.
 fn secret(file: &Path) -> Result<String, String> {
     let wrong = |what: &dyn std::fmt::Display| format!("{}: {what}", file.display());
-    let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
-    let first = text.lines().next().unwrap_or_default().trim();
+    let first = first_line(file).map_err(|error| wrong(&error))?;
     if first.is_empty() || first.len() > LONGEST_SECRET {
         return Err(wrong(&"its first line is empty or too long"));
     }
-    albireo_service::logging::conceal(first);
-    Ok(first.to_owned())
+    albireo_service::logging::conceal(&first);
+    Ok(first)
 }
 
 impl MqttConfig {

@@ -1,6 +1,7 @@
 //! What Home Assistant needs to know to show a node and its cameras as devices: its MQTT discovery of devices.
 //! <https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery>
 
+use albireo_vision::detector::named_classes;
 use serde_json::{Map, Value, json};
 
 /// The most classes of a camera that get entities: a model may have thousands.
@@ -22,11 +23,11 @@ pub(super) fn id_of(name: &str) -> String {
 /// The classes that get entities, each with an id of its own. Classes of one name are one.
 pub(super) fn named(classes: &[String]) -> Vec<NamedClass> {
     let mut named = Vec::<NamedClass>::new();
-    for class in classes {
+    for class in named_classes(classes) {
         if named.len() == MOST_CLASSES {
             break;
         }
-        if named.iter().any(|one| one.class == *class) {
+        if named.iter().any(|one| one.class == class) {
             continue;
         }
         let mut id = id_of(class);
@@ -34,7 +35,7 @@ pub(super) fn named(classes: &[String]) -> Vec<NamedClass> {
             id.push('_');
         }
         named.push(NamedClass {
-            class: class.clone(),
+            class: class.to_owned(),
             id,
         });
     }
@@ -252,6 +253,13 @@ mod tests {
         entities.retain(|id| *id != problem);
         let unique: BTreeSet<_> = entities.iter().collect();
         assert_eq!(unique.len(), entities.len(), "{entities:?}");
+    }
+
+    #[test]
+    fn a_class_without_a_name_gets_no_entity() {
+        let classes = named(&["", "car", "", "bus"].map(str::to_owned));
+        let names: Vec<_> = classes.iter().map(|one| one.class.as_str()).collect();
+        assert_eq!(names, ["car", "bus"]);
     }
 
     #[test]

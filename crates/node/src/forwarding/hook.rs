@@ -2,11 +2,11 @@
 
 use super::address::Target;
 use super::config::HookConfig;
-use super::connection::Connector;
 use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
 use crate::state::board::{Board, Forwarded};
 use crate::state::readiness;
+use albireo_service::connection::Connector;
 use albireo_service::readiness::Part;
 use albireo_wire::Sighting;
 use bytes::Bytes;
@@ -67,7 +67,7 @@ impl Hook {
     pub(crate) fn new(config: HookConfig, board: &Board, random: u64) -> Result<Self, String> {
         let target = config.target()?;
         let authority = config.root_ca_certificate.as_deref();
-        let connector = Connector::new(target.place.clone(), authority)?;
+        let connector = target.place.connector(authority)?;
         let counts = board.forward_to(target.to_string());
         let part = board.readiness.part_of(readiness::HOOKS, &counts.to);
         Ok(Self {
@@ -189,7 +189,7 @@ impl Hook {
     pub(crate) async fn connects(config: &HookConfig) -> Result<String, String> {
         let target = config.target()?;
         let authority = config.root_ca_certificate.as_deref();
-        let connector = Connector::new(target.place.clone(), authority)?;
+        let connector = target.place.connector(authority)?;
         connector.open().await.map_err(|error| format!("{target} {error}"))?;
         Ok(format!("{target} can be reached; nothing was posted"))
     }

@@ -2,14 +2,15 @@
 
 use super::address::Endpoint;
 use super::config::MqttConfig;
-use super::connection::Connector;
 use super::discovery::{Described, DiscoveryMessage, MOST_CLASSES, NamedClass, id_of, named};
 use super::mailbox::{Mailbox, WINDOW};
 use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
 use crate::state::board::{Board, CameraBoard, Forwarded};
 use crate::state::readiness;
+use albireo_service::connection::Connector;
 use albireo_service::readiness::Part;
+use albireo_vision::detector::named_classes;
 use albireo_wire::{EnergyQuality, Sighting, SightingEvent};
 use rumqttc::{
     AsyncClient, ConnectReturnCode, ConnectionError, Event, LastWill, MqttOptions, Outgoing,
@@ -97,12 +98,12 @@ impl Mqtt {
             return Ok(None);
         };
         let authority = setup.config.root_ca_certificate.as_deref();
-        let connector = Connector::new(place.clone(), authority)?;
+        let connector = place.connector(authority)?;
         let MqttSetup { board, prefix, .. } = setup;
         let node = board.node.clone();
         let counts = board.forward_to(place.to_string());
         let classes = named(&setup.classes);
-        if setup.classes.len() > MOST_CLASSES {
+        if named_classes(&setup.classes).len() > MOST_CLASSES {
             tracing::warn!(
                 "MQTT tells of the first {MOST_CLASSES} classes of the model: name those that matter in detector.report_classes"
             );
@@ -327,7 +328,7 @@ impl Mqtt {
     /// Connects to the broker as a node would, and leaves at once, for `check --online`.
     pub(crate) async fn try_to_connect(config: &MqttConfig) -> Result<String, String> {
         let place = config.place().ok_or("no broker is set")??;
-        let connector = Connector::new(place.clone(), config.root_ca_certificate.as_deref())?;
+        let connector = place.connector(config.root_ca_certificate.as_deref())?;
         let id = format!("albireo-check-{}", std::process::id());
         let options = options(config, &connector, &place, &id)?;
         let (client, mut heard, _driver) = connect(options)?;

@@ -11,7 +11,7 @@
 //! | `program` | a program that writes pictures: started, read with a deadline, ended |
 //! | `messages` | what such a program says: why it fails, which pictures are broken |
 //! | `files` | several video files as one source |
-//! | `login` | which logins a camera takes that has refused one |
+//! | `login` | what a camera answers that gives no pictures: which logins it takes, or something else |
 //! | `live` | a source that is reopened whenever it ends, and in `live/reading` how it is read once |
 
 mod address;

@@ -1,10 +1,11 @@
 //! Opens the outbox file in the state directory.
 
 use super::table::TableError;
+use crate::state_files::{FileId, create_directory};
 use rusqlite::Connection;
 use std::fmt::Debug;
 use std::fs::{self, File, TryLockError};
-use std::os::unix::fs::{FileExt, MetadataExt};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -14,12 +15,15 @@ pub(super) const FILE: &str = "node.db";
 /// The name of the file with the counts.
 pub(super) const WITNESS: &str = "node.count";
 
+/// The name of the file that a node locks.
+pub(super) const LOCK: &str = "lock";
+
 /// A place for the report table.
 pub(crate) trait Disk: Debug + Send {
     /// Opens the file, or creates it.
     fn open(&mut self) -> Result<Connection, TableError>;
 
-    /// Fails if the opened file is no longer at its path.
+    /// Fails if the opened file is no longer at its path, or another node could lock the directory.
     fn check(&self) -> Result<(), TableError>;
 
     /// Moves a damaged file aside and returns its new path.
@@ -75,16 +79,9 @@ impl Witness {
 pub(crate) struct StateFile {
     directory: PathBuf,
     file: PathBuf,
-    lock: Option<File>,
+    lock: Option<DirectoryLock>,
     witness: Option<File>,
     opened: Option<FileId>,
-}
-
-/// Tells a file from another one at the same path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct FileId {
-    device: u64,
-    inode: u64,
 }
 
 impl StateFile {
@@ -97,21 +94,16 @@ impl StateFile {
             opened: None,
         }
     }
-
-    fn id_at_path(&self) -> std::io::Result<FileId> {
-        let metadata = fs::metadata(&self.file)?;
-        Ok(FileId {
-            device: metadata.dev(),
-            inode: metadata.ino(),
-        })
-    }
 }
 
 impl Disk for StateFile {
     fn open(&mut self) -> Result<Connection, TableError> {
-        fs::create_dir_all(&self.directory)?;
-        if self.lock.is_none() {
-            self.lock = Some(lock(&self.directory)?);
+        create_directory(&self.directory)?;
+        let is_locked = self.lock.as_ref().is_some_and(DirectoryLock::is_in_place);
+        if !is_locked {
+            // First, because this lock would refuse a second one on the same file.
+            self.lock = None;
+            self.lock = Some(DirectoryLock::take(&self.directory)?);
         }
         self.witness = File::options()
             .create(true)
@@ -136,18 +128,25 @@ impl Disk for StateFile {
             // The name of a new file is durable only once its folder is synced.
             File::open(&self.directory)?.sync_all()?;
         }
-        self.opened = Some(self.id_at_path()?);
+        self.opened = FileId::at(&self.file)?;
         Ok(db)
     }
 
     fn check(&self) -> Result<(), TableError> {
-        match self.id_at_path() {
-            Ok(id) if Some(id) == self.opened => Ok(()),
-            _ => Err(std::io::Error::other(
-                "the file is no longer there: the disk was removed, or somebody deleted it",
-            )
-            .into()),
+        let gone = |name: &str| -> Result<(), TableError> {
+            let reason = format!(
+                "the file {name} is no longer there: the disk was removed, or somebody deleted it"
+            );
+            Err(std::io::Error::other(reason).into())
+        };
+        match FileId::at(&self.file) {
+            Ok(id @ Some(_)) if id == self.opened => {}
+            _ => return gone(FILE),
         }
+        if !self.lock.as_ref().is_some_and(DirectoryLock::is_in_place) {
+            return gone(LOCK);
+        }
+        Ok(())
     }
 
     fn set_aside(&mut self) -> std::io::Result<PathBuf> {
@@ -179,19 +178,37 @@ impl Disk for StateFile {
     }
 }
 
-/// Locks the directory for this node.
-fn lock(directory: &Path) -> Result<File, TableError> {
-    let lock = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(directory.join("lock"))?;
-    match lock.try_lock() {
-        Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(TableError::Unusable(
-            "it is in use by another node: two nodes cannot share one; choose another, or stop the other node"
-                .to_owned(),
-        )),
-        Err(TryLockError::Error(error)) => Err(error.into()),
+/// The lock that keeps other nodes out of the directory.
+#[derive(Debug)]
+struct DirectoryLock {
+    path: PathBuf,
+    /// The locked file, which somebody may have removed from the path.
+    id: FileId,
+    /// Locked while it is open.
+    _file: File,
+}
+
+impl DirectoryLock {
+    /// Locks the directory for this node.
+    fn take(directory: &Path) -> Result<Self, TableError> {
+        let path = directory.join(LOCK);
+        let file = File::options().create(true).truncate(false).write(true).open(&path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self {
+                path,
+                id: FileId::of(&file.metadata()?),
+                _file: file,
+            }),
+            Err(TryLockError::WouldBlock) => Err(TableError::Unusable(
+                "it is in use by another node: two nodes cannot share one; choose another, or stop the other node"
+                    .to_owned(),
+            )),
+            Err(TryLockError::Error(error)) => Err(error.into()),
+        }
+    }
+
+    /// True if another node that tries to lock the directory finds this lock.
+    fn is_in_place(&self) -> bool {
+        FileId::at(&self.path).is_ok_and(|id| id == Some(self.id))
     }
 }

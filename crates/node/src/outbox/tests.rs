@@ -1,6 +1,6 @@
 mod flips;
 
-use super::disk::{FILE, WITNESS, Witness};
+use super::disk::{FILE, LOCK, WITNESS, Witness};
 use super::table::MEMORY_BYTES;
 use super::waiting::BATCH_BYTES;
 use super::*;
@@ -473,6 +473,42 @@ fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
 }
 
 #[test]
+fn no_second_node_gets_a_state_directory_whose_lock_was_removed() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..1);
+    let remove_folder = || std::fs::remove_dir_all(bench.state()).unwrap();
+    let remove_lock = || std::fs::remove_file(bench.state().join(LOCK)).unwrap();
+    let removals: [&dyn Fn(); 2] = [&remove_folder, &remove_lock];
+    for (clip, remove) in (1..).zip(removals) {
+        remove();
+        keep(&outbox, clip..clip + 1);
+        retry_disk(&outbox);
+        assert!(outbox.counts().status.durable);
+        let refused = Outbox::open(Some(&bench.state())).unwrap_err();
+        let reason = refused.to_string();
+        assert!(reason.contains("in use by another node"), "{reason}");
+    }
+    let mut sent = drain(&outbox);
+    sent.sort();
+    let made_since = ["window-1", "window-2"].map(str::to_owned);
+    assert!(sent.ends_with(&made_since), "{sent:?}");
+}
+
+#[test]
+fn a_link_to_nowhere_as_state_directory_is_named() {
+    let bench = Bench::new();
+    std::os::unix::fs::symlink("nowhere", bench.state()).unwrap();
+    let outbox = bench.open();
+    let failing = outbox.counts().failing.unwrap();
+    let expected = format!(
+        "{} cannot be created: it is a link",
+        bench.state().display()
+    );
+    assert!(failing.contains(&expected), "{failing}");
+}
+
+#[test]
 fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
@@ -531,7 +567,7 @@ fn without_a_state_directory_reports_wait_in_bounded_memory_and_are_sent_in_boun
 }
 
 #[test]
-fn a_report_that_cannot_be_sent_is_counted_and_the_rest_is_sent() {
+fn a_report_that_cannot_be_sent_is_counted_and_told_and_the_rest_is_sent() {
     let bench = Bench::new();
     let too_large = in_memory();
     keep(&bench.open(), 0..3);
@@ -546,6 +582,8 @@ fn a_report_that_cannot_be_sent_is_counted_and_the_rest_is_sent() {
         assert_eq!(drain(&outbox), ["window-0", "window-2"], "{case}");
         let status = outbox.counts().status;
         assert_eq!(status.undeliverable, 1, "{case}");
+        let fault = outbox.counts().fault().unwrap();
+        assert!(fault.reason.contains("no hub will get"), "{fault:?}");
         assert_eq!(status.waiting, 0, "{case}");
     }
 }

@@ -375,6 +375,7 @@ impl Waiting {
     fn conclude(&mut self, concluded: &[Concluded], missing: &[(u64, u64)], now: Now) -> u64 {
         let refused = concluded.iter().filter(|report| report.state == REFUSED).count() as u64;
         self.table.counters.undeliverable += refused;
+        self.counts.refused += refused;
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
         self.work(|table| table.conclude(concluded, missing, now.unix_ms, kept_ms));
         concluded.len() as u64 - refused

@@ -1,5 +1,6 @@
 //! The folder of recordings: their names, their sum, and which of them go.
 
+use crate::state_files::not_created;
 use albireo_recording::{EXTENSION, Mended, RecordingError, is_recording, mend};
 use std::fs::{DirBuilder, read_dir, remove_file};
 use std::io::{ErrorKind, Result as IoResult};
@@ -43,7 +44,8 @@ impl Folder {
 
     /// Creates the folder if it is missing.
     pub(super) fn create(&self) -> IoResult<()> {
-        DirBuilder::new().recursive(true).mode(OWNER_ONLY).create(&self.path)
+        let created = DirBuilder::new().recursive(true).mode(OWNER_ONLY).create(&self.path);
+        created.map_err(|error| not_created(&self.path, &error))
     }
 
     /// Gives the recordings that were cut by a power failure their end.

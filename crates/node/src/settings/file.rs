@@ -1,5 +1,6 @@
 //! The file that keeps settings changed at run time, so that they survive a restart.
 
+use crate::state_files::{FileId, create_directory};
 use albireo_wire::SettingSource;
 use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
@@ -30,8 +31,9 @@ pub(crate) struct SettingsFile {
     directory: Option<PathBuf>,
     /// Never held while the disk is read or written.
     values: Mutex<KeptValues>,
-    /// What the file has; `None` until it was read. Held while the disk is read or written: no async worker locks it.
-    stored: Mutex<Option<KeptValues>>,
+    /// The file as it was last read or written; `None` until it was read. Held while the disk is read or written: no async
+    /// worker locks it.
+    stored: Mutex<Option<StoredSettings>>,
     /// The outcome of the last reading or writing. Never held while the disk is read or written.
     disk: Mutex<DiskState>,
 }
@@ -48,6 +50,14 @@ struct DiskState {
 /// Settings by name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct KeptValues(BTreeMap<String, Value>);
+
+/// The file and what it has.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct StoredSettings {
+    values: KeptValues,
+    /// `None` if there is none.
+    file: Option<FileId>,
+}
 
 /// A value set at run time instead of a configured one.
 #[derive(Serialize, Deserialize)]
@@ -96,7 +106,7 @@ impl SettingsFile {
         if let Some(directory) = directory {
             let stored = settings.read(directory);
             match &stored {
-                Ok(values) => values.clone_into(&mut settings.values.lock()),
+                Ok(stored) => stored.values.clone_into(&mut settings.values.lock()),
                 Err(error) => tracing::error!(%error, "the kept settings cannot be read"),
             }
             settings.note(stored.as_ref().map(drop));
@@ -132,15 +142,18 @@ impl SettingsFile {
     }
 
     /// Reads the file; sets it aside if it is damaged.
-    fn read(&self, directory: &Path) -> std::io::Result<KeptValues> {
-        std::fs::create_dir_all(directory)?;
+    fn read(&self, directory: &Path) -> std::io::Result<StoredSettings> {
+        create_directory(directory)?;
         let file = directory.join(FILE);
+        let id = FileId::at(&file)?;
         let bytes = match std::fs::read(&file) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeptValues::default()),
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                return Ok(StoredSettings::default());
+            }
             read => read?,
         };
         let error = match parse(&bytes) {
-            Ok(values) => return Ok(values),
+            Ok(values) => return Ok(StoredSettings { values, file: id }),
             Err(error) => error,
         };
         let aside = file.with_extension("json.damaged");
@@ -150,7 +163,7 @@ impl SettingsFile {
         );
         self.disk.lock().damaged = Some(Instant::now());
         std::fs::rename(&file, aside)?;
-        Ok(KeptValues::default())
+        Ok(StoredSettings::default())
     }
 
     /// The setting kept under `name`.
@@ -188,8 +201,9 @@ impl SettingsFile {
         set
     }
 
-    /// Writes the file if it differs from the settings, after reading it if that failed before. Settings that are read
-    /// only now apply from the next start, except those set in the meantime.
+    /// Writes the file if it differs from the settings, or is no longer the one that was written: somebody removed it, or
+    /// another disk is in its place. Reads it first if that failed before: settings that are read only now apply from the
+    /// next start, except those set in the meantime.
     ///
     /// # Errors
     /// The disk's error; call it again later.
@@ -210,11 +224,13 @@ impl SettingsFile {
                 "the kept settings could be read only now: they apply from the next start"
             );
         }
-        let mut values = stored.clone().unwrap_or_default();
+        let known = stored.clone().unwrap_or_default();
+        let mut values = known.values.clone();
         values.0.extend(self.values.lock().0.clone());
-        if stored.as_ref() != Some(&values) {
-            write(directory, &values)?;
-            *stored = Some(values);
+        let is_in_place = FileId::at(&directory.join(FILE))? == known.file;
+        if values != known.values || !is_in_place {
+            let file = Some(write(directory, &values)?);
+            *stored = Some(StoredSettings { values, file });
         }
         Ok(())
     }
@@ -245,15 +261,18 @@ fn text(values: &KeptValues) -> std::io::Result<String> {
     Ok(format!("{CHECKSUM}{checksum:08x}{rest}"))
 }
 
-/// Writes a new file beside the old one, syncs it, and then replaces the old one.
-fn write(directory: &Path, values: &KeptValues) -> std::io::Result<()> {
+/// Writes a new file beside the old one, syncs it, and then replaces the old one. Returns which it is.
+fn write(directory: &Path, values: &KeptValues) -> std::io::Result<FileId> {
+    create_directory(directory)?;
     let file = directory.join(FILE);
     let fresh = directory.join("settings.json.new");
     let mut written = File::create(&fresh)?;
     written.write_all(text(values)?.as_bytes())?;
     written.sync_all()?;
+    let id = FileId::of(&written.metadata()?);
     std::fs::rename(fresh, file)?;
-    File::open(directory)?.sync_all()
+    File::open(directory)?.sync_all()?;
+    Ok(id)
 }
 
 #[cfg(test)]
@@ -333,6 +352,31 @@ mod tests {
         assert!(!settings.survive_restart());
         assert!(settings.fault().is_some());
         assert!(!SettingsFile::open(None).survive_restart());
+    }
+
+    #[test]
+    fn settings_survive_a_restart_although_their_file_was_removed_or_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = folder.path().join("state");
+        let settings = SettingsFile::open(Some(&state));
+        let kept = || SettingsFile::open(Some(&state)).get::<i32>("target");
+        assert!(settings.set("target", 1));
+        std::fs::remove_file(state.join(FILE)).unwrap();
+        settings.save().unwrap();
+        assert_eq!(kept(), Some(1));
+        std::fs::remove_dir_all(&state).unwrap();
+        settings.save().unwrap();
+        assert_eq!(kept(), Some(1));
+        // Another disk takes the place of the first.
+        std::fs::rename(&state, folder.path().join("first")).unwrap();
+        assert!(SettingsFile::open(Some(&state)).set("target", 2));
+        settings.save().unwrap();
+        assert_eq!(kept(), Some(1));
+        // A disk that is not there at all is a fault, although nothing new is set.
+        std::fs::rename(&state, folder.path().join("second")).unwrap();
+        std::fs::write(&state, b"").unwrap();
+        assert!(settings.save().is_err());
+        assert!(!settings.survive_restart());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::error::NodeError;
 use crate::state::board::{Board, ModelReading, WorkerMeters};
 use crate::state::readiness;
 use albireo_service::supervise::Supervisor;
-use albireo_vision::detector::{DetectorConfig, DetectorHandle, ModelStatus};
+use albireo_vision::detector::{DetectorConfig, DetectorHandle, ModelStatus, named_classes};
 use albireo_vision::picture::FrameLimits;
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
@@ -87,7 +87,7 @@ fn show_reading(detector: &DetectorHandle, board: &Board) {
     tracing::info!(
         reads = detector.description(),
         provider = detector.provider().as_str(),
-        reports = detector.class_names().join(", "),
+        reports = named_classes(detector.class_names()).join(", "),
         not_reported = left_out.len(),
         "the detector is ready{remedy}"
     );

@@ -101,10 +101,54 @@ fn unsafe_names_and_impossible_lifetimes_are_rejected() {
     for name in ["", "a/b", "*", "../x", "a b"] {
         assert_refused(issue(&mut authority, Role::Node, name), "name");
     }
+    // No rules could be made for it.
+    assert_refused(issue(&mut authority, Role::Node, "all"), "`all`");
     for lasts in [YEAR * 1_000_000, Duration::MAX] {
         let refused = authority.issue(Role::Node, "car-7", &[], lasts);
         assert_refused(refused, "a certificate cannot contain that time");
     }
+}
+
+#[test]
+fn a_host_that_no_node_could_find_in_a_certificate_is_refused() {
+    let (_folder, mut authority) = authority();
+    let mut issue =
+        |name: &str, host: &str| authority.issue(Role::Router, name, &[host.to_owned()], YEAR);
+    for host in [
+        "",
+        "127.0.0.1:7447",
+        "tcp/host:7447",
+        "https://x",
+        "[::1]",
+        "not a host",
+        "a..b",
+        "a.example.",
+        "-a.example",
+        "999.0.0.1",
+    ] {
+        assert_refused(issue("east", host), "without scheme, port and brackets");
+    }
+    let hosts = [
+        "127.0.0.1",
+        "::1",
+        "router",
+        "a-1.fleet.example",
+        "*.fleet.example",
+    ];
+    for (number, host) in hosts.iter().enumerate() {
+        issue(&format!("router-{number}"), host).unwrap();
+    }
+}
+
+#[test]
+fn an_authority_with_the_certificate_of_another_key_issues_nothing() {
+    let (folder, first) = authority();
+    let (other, _second) = authority();
+    drop(first);
+    let certificate = folder.path().join(AUTHORITY);
+    std::fs::copy(other.path().join(AUTHORITY), &certificate).unwrap();
+    let refused = Authority::open(folder.path());
+    assert_refused(refused, "belongs to another key than that in authority.key");
 }
 
 #[test]

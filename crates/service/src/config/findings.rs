@@ -118,6 +118,12 @@ impl Findings {
                 "`{shown}` is no path in a home folder: write `~/` for that, or `./{shown}` if it is really called so"
             );
             self.add(key, reason);
+        } else if path.as_os_str().as_encoded_bytes().contains(&b'$') {
+            let shown = path.display();
+            let reason = format!(
+                "`{shown}` has a `$`, but no variable is replaced in a path: write the path itself"
+            );
+            self.add(key, reason);
         }
     }
 }

@@ -9,6 +9,10 @@ use std::path::PathBuf;
 /// The minimum number of characters of a token.
 const LEAST_TOKEN: usize = 16;
 
+/// What protects an interface that is configured by keys.
+pub(crate) const SET_A_TOKEN: &str = "set http.token_file (or http.token), or http.allow_unauthenticated = true if \
+                                      anybody may use it";
+
 /// A secret that debug output does not show.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -91,12 +95,18 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
-    /// The error of an interface at `address` that nothing protects.
-    pub(crate) fn unprotected(address: SocketAddr) -> String {
-        format!(
-            "{address} can be reached from other machines, and no token is set; set http.token_file (or http.token), or \
-             http.allow_unauthenticated = true if anybody may use it"
-        )
+    /// The error of an interface at `address` that nothing protects, with the way out.
+    pub fn unprotected(address: SocketAddr, way_out: &str) -> String {
+        format!("{address} can be reached from other machines, and no token is set; {way_out}")
+    }
+
+    /// True if other machines can reach it and nothing protects it.
+    pub fn is_unprotected(&self, tokens: &[NamedToken]) -> bool {
+        !self.listen.ip().is_loopback()
+            && self.token.is_none()
+            && self.token_file.is_none()
+            && tokens.is_empty()
+            && !self.allow_unauthenticated
     }
 
     /// Adds the errors in the section, checked together with the named tokens.
@@ -112,13 +122,9 @@ impl HttpConfig {
                 "is set together with http.token; keep one",
             );
         }
-        if !self.listen.ip().is_loopback()
-            && self.token.is_none()
-            && self.token_file.is_none()
-            && tokens.is_empty()
-            && !self.allow_unauthenticated
-        {
-            findings.add("http.listen", Self::unprotected(self.listen));
+        if self.is_unprotected(tokens) {
+            let reason = Self::unprotected(self.listen, SET_A_TOKEN);
+            findings.add("http.listen", reason);
         }
         for origin in &self.cors_origins {
             let host = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));

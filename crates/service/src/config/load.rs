@@ -7,7 +7,7 @@ mod tests;
 use super::environment::{Environment, PREFIX};
 use super::{ConfigError, Finding, unreadable};
 use figment::Figment;
-use figment::error::Kind;
+use figment::error::{Actual, Kind};
 use figment::providers::{Format, Serialized, Toml};
 use reasons::finding;
 use serde::de::DeserializeOwned;
@@ -123,6 +123,32 @@ fn is_or_holds(key: &str, inner: &str) -> bool {
     }
 }
 
+/// The errors that were reported, and where: others only follow from them.
+#[derive(Default)]
+struct Reported {
+    findings: Vec<Finding>,
+    left_out: Vec<Vec<String>>,
+    /// The places to which the values of unknown keys were put.
+    guessed: Vec<Vec<String>>,
+}
+
+impl Reported {
+    fn add(&mut self, error: &Kind, path: &[String], removed: &str) {
+        self.findings.push(finding(error, path, removed));
+        self.left_out.push(path.to_vec());
+    }
+
+    /// True if the error would not be there without those before: a table lacks what was left out of it, and a value that
+    /// was put to another key may have another type.
+    fn explains(&self, error: &Kind, path: &[String]) -> bool {
+        if path.is_empty() || matches!(error, Kind::UnknownField(..)) {
+            return false;
+        }
+        let is_in = |inner: &Vec<String>| inner.len() > path.len() && inner.starts_with(path);
+        self.left_out.iter().any(is_in) || self.guessed.iter().any(|guess| path.starts_with(guess))
+    }
+}
+
 /// Reads the configuration. A variable of the environment that has another type than its key is read in another way. An
 /// unknown key or a value of the wrong type is reported and left out, and the rest is read again, so all errors are found at
 /// once. `None` if the rest cannot be read either.
@@ -131,20 +157,28 @@ fn read<C: Configuration>(
     environment: &Environment,
     home: Option<&Path>,
 ) -> (Option<C>, Vec<Finding>) {
-    let mut findings: Vec<Finding> = Vec::new();
+    let mut reported = Reported::default();
     let mut values: Value = match figment.extract() {
         Ok(values) => values,
         Err(errors) => {
             for error in errors {
-                findings.push(finding(&error.kind, &error.path, C::REMOVED));
+                reported.add(&error.kind, &error.path, C::REMOVED);
             }
-            return (None, findings);
+            return (None, reported.findings);
         }
     };
     put_at_home(&mut values, home);
+    let mut infinite = Vec::new();
+    find_infinite(&values, &mut Vec::new(), &mut infinite);
+    for path in infinite {
+        let found = Actual::Other("inf or nan".to_owned());
+        let error = Kind::InvalidValue(found, "a finite number".to_owned());
+        reported.add(&error, &path, C::REMOVED);
+        take_out(&mut values, &path);
+    }
     loop {
         let errors = match Figment::from(Serialized::defaults(&values)).extract::<C>() {
-            Ok(config) => return (Some(config), findings),
+            Ok(config) => return (Some(config), reported.findings),
             Err(errors) => errors,
         };
         for error in errors {
@@ -161,15 +195,19 @@ fn read<C: Configuration>(
                 put_at_home(value, home);
                 continue;
             }
-            findings.push(finding(&error.kind, &path, C::REMOVED));
+            if !reported.explains(&error.kind, &path) {
+                reported.add(&error.kind, &path, C::REMOVED);
+            }
             let taken = take_out(&mut values, &path);
-            if taken.is_none() || findings.len() >= MOST_FINDINGS {
-                return (None, findings);
+            if taken.is_none() || reported.findings.len() >= MOST_FINDINGS {
+                return (None, reported.findings);
             }
             if let (Kind::UnknownField(name, known), Some(value)) = (&error.kind, taken) {
                 // Read as what was meant, it is not missed in errors that follow from this one.
-                if let Some(meant) = meant(name, known) {
-                    put_beside(&mut values, &path, meant, value);
+                if let Some(meant) = meant(name, known)
+                    && let Some(guess) = put_beside(&mut values, &path, meant, value)
+                {
+                    reported.guessed.push(guess);
                 }
             }
         }
@@ -213,13 +251,43 @@ fn take_out(values: &mut Value, path: &[String]) -> Option<Value> {
     }
 }
 
-/// Puts a value under another name into the table of `path`, unless that name is taken.
-fn put_beside(values: &mut Value, path: &[String], name: &str, value: Value) {
-    let Some((_, table)) = path.split_last() else {
-        return;
-    };
-    if let Some(Value::Object(table)) = values.pointer_mut(&pointer(table)) {
-        table.entry(name).or_insert(value);
+/// Puts a value under another name into the table of `path`, unless that name is taken. Returns its new path.
+fn put_beside(
+    values: &mut Value,
+    path: &[String],
+    name: &str,
+    value: Value,
+) -> Option<Vec<String>> {
+    let (_, table) = path.split_last()?;
+    match values.pointer_mut(&pointer(table)) {
+        Some(Value::Object(members)) if !members.contains_key(name) => {
+            members.insert(name.to_owned(), value);
+            Some([table, &[name.to_owned()]].concat())
+        }
+        _ => None,
+    }
+}
+
+/// Finds the numbers that are not finite. JSON has none, so they are null here, and no other value is: read on, one would
+/// pass for a key that is not set.
+fn find_infinite(values: &Value, path: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
+    match values {
+        Value::Null => found.push(path.clone()),
+        Value::Object(members) => {
+            for (name, value) in members {
+                path.push(name.clone());
+                find_infinite(value, path, found);
+                path.pop();
+            }
+        }
+        Value::Array(elements) => {
+            for (index, value) in elements.iter().enumerate() {
+                path.push(index.to_string());
+                find_infinite(value, path, found);
+                path.pop();
+            }
+        }
+        _ => {}
     }
 }
 

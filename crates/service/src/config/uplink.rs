@@ -1,7 +1,7 @@
 //! The `[uplink]` section of the configuration: a separate session to the hub.
 
 use super::Findings;
-use super::zenoh::check_endpoints;
+use super::endpoint::{EndpointUse, check_endpoints};
 use crate::session;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -92,7 +92,8 @@ impl UplinkConfig {
 
     /// Adds the errors in the section.
     pub fn check(&self, findings: &mut Findings) {
-        check_endpoints("uplink.connect", &self.connect, findings);
+        let usage = EndpointUse::Connect;
+        check_endpoints("uplink.connect", &self.connect, usage, findings);
         for (key, file) in self.files() {
             findings.path(key, Some(file));
         }

@@ -1,8 +1,8 @@
 //! The `[zenoh]` section of the configuration.
 
 use super::Findings;
+use super::endpoint::{EndpointUse, check_endpoints};
 use crate::{identity, session};
-use ::zenoh::config::EndPoint;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
@@ -94,8 +94,13 @@ impl ZenohConfig {
 
     /// Adds the errors in the section.
     pub fn check(&self, findings: &mut Findings) {
-        check_endpoints("zenoh.connect", &self.connect, findings);
-        check_endpoints("zenoh.listen", &self.listen, findings);
+        check_endpoints(
+            "zenoh.connect",
+            &self.connect,
+            EndpointUse::Connect,
+            findings,
+        );
+        check_endpoints("zenoh.listen", &self.listen, EndpointUse::Listen, findings);
         findings.path("zenoh.config_file", self.config_file.as_deref());
         let finds_none = self.connect.is_empty() && !self.multicast_scouting;
         if self.config_file.is_none() && self.mode == ZenohMode::Client && finds_none {
@@ -107,42 +112,22 @@ impl ZenohConfig {
     }
 }
 
-/// The transports that are compiled in.
-const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
-
-/// Adds an error for each endpoint that Zenoh cannot parse or this program cannot open.
-pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) {
-    for endpoint in endpoints {
-        let fault = match endpoint.parse::<EndPoint>() {
-            Err(error) => format!("is not an endpoint such as `tcp/127.0.0.1:7447`: {error}"),
-            Ok(parsed) if TRANSPORTS.contains(&parsed.protocol().as_str()) => continue,
-            Ok(parsed) => format!(
-                "has the transport `{}`, which is not built in; there are {}",
-                parsed.protocol(),
-                TRANSPORTS.join(", ")
-            ),
-        };
-        findings.add(key, format!("`{endpoint}` {fault}"));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn an_endpoint_with_a_transport_that_is_not_built_in_is_rejected() {
-        let endpoints = "quic/hub:1 ws/hub:1 serial/dev/tty tls/hub:1 tcp/hub:1".split(' ');
+    fn endpoints_are_checked_for_what_they_are_used_for() {
+        let endpoints: Vec<_> = ["tcp/hub:0", "tcp/hub:99999"].map(str::to_owned).into();
         let zenoh = ZenohConfig {
-            connect: endpoints.map(str::to_owned).collect(),
+            connect: endpoints.clone(),
+            listen: endpoints,
             ..ZenohConfig::default()
         };
         let mut findings = Findings::default();
         zenoh.check(&mut findings);
-        let findings = findings.0;
-        assert_eq!(findings.len(), 3, "{findings:?}");
-        let first = findings[0].to_string();
-        assert!(first.contains("`quic`, which is not built in"), "{first}");
+        let keys: Vec<_> = findings.0.iter().map(|finding| finding.key.as_str()).collect();
+        assert_eq!(keys, ["zenoh.connect", "zenoh.connect", "zenoh.listen"]);
     }
 
     #[test]

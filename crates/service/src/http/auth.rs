@@ -2,7 +2,7 @@
 
 use super::Problem;
 use crate::ServiceError;
-use crate::config::{ANONYMOUS, HttpConfig, NamedToken, Role, Token};
+use crate::config::{ANONYMOUS, HttpConfig, NamedToken, Role, SET_A_TOKEN, Token, first_line};
 use crate::rate_limit::RateLimit;
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN, WWW_AUTHENTICATE};
@@ -119,7 +119,7 @@ impl Guard {
         } else if address.ip().is_loopback() {
             Rule::ThisMachine
         } else {
-            let reason = HttpConfig::unprotected(address);
+            let reason = HttpConfig::unprotected(address, SET_A_TOKEN);
             return Err(ServiceError(format!("http.listen: {reason}")));
         };
         Ok(Self {
@@ -288,8 +288,7 @@ fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<KnownTok
 /// The file, and why its first line cannot be used.
 pub fn read_token(file: &Path) -> Result<Token, String> {
     let wrong = |fault: &dyn std::fmt::Display| format!("token_file {}: {fault}", file.display());
-    let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
-    let token = Token::new(text.lines().next().unwrap_or_default().trim());
+    let token = Token::new(first_line(file).map_err(|error| wrong(&error))?);
     token.check().map_err(|fault| wrong(&format!("the first line {fault}")))?;
     Ok(token)
 }

@@ -52,6 +52,12 @@ const PROTOCOLS: &str = "async,subfile,file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rt
 /// that ffmpeg recognises it by its pictures. `subfile` skips by seeking, which `async` does for it by reading.
 const WITHOUT_FORMAT: &str = "subfile,,start,3,end,0,,:async:";
 
+/// The unit of the timestamps of decoded pictures.
+const MICROSECONDS: &str = "1/1000000";
+
+/// Endings by which ffmpeg takes an address for a file of one picture, and reads as much of it as its answer says.
+const PICTURE_ENDINGS: [&str; 2] = [".jpg", ".jpeg"];
+
 /// Options for ffmpeg itself or a decoder, not for the camera: they stay on the command line.
 const PROGRAM_OPTIONS: &str = "an autorotate c codec discard ec err_detect f flags flags2 hwaccel hwaccel_device \
     hwaccel_output_format init_hw_device itsoffset lowres noautorotate r re skip_frame skip_idct skip_loop_filter \
@@ -240,7 +246,7 @@ impl<'a> CommandLine<'a> {
             self.add(&["-c:v", "copy", "-f", "mpjpeg"]);
         } else {
             self.add(&["-vf", &filters(self.settings.max_rate)]);
-            self.add(&["-enc_time_base", "1/90000"]);
+            self.add(&["-enc_time_base", MICROSECONDS]);
             if self.settings.as_jpeg {
                 self.add(&["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"]);
             } else {
@@ -283,10 +289,15 @@ pub(super) fn ffmpeg(
     let hides_options = is_network && command.takes_options() && !secret_options.is_empty();
     let scripted = hidden_address || hides_options;
     if way == Way::BareJpeg {
-        if scripted {
-            address.insert_str(0, WITHOUT_FORMAT);
-        } else {
+        let lower = address.to_ascii_lowercase();
+        if !scripted {
             command.add(&["-f", "mjpeg"]);
+        } else if PICTURE_ENDINGS.iter().any(|ending| lower.ends_with(ending)) {
+            // An empty query hides the ending.
+            let sign = if address.contains('?') { '&' } else { '?' };
+            address.push(sign);
+        } else {
+            address.insert_str(0, WITHOUT_FORMAT);
         }
     }
     for secret in secret_options {
@@ -320,14 +331,17 @@ pub(super) fn ffmpeg(
 /// The filters for decoded pictures. The first picture of each slot of time is taken, on average exactly the limit, by the
 /// clock of this machine: cameras send any timestamps. Slots are compared for being different, so that a step of that
 /// clock matters no more than one picture. The expression prints for each picture 1 for a key frame, plus 2 if it is taken,
-/// which [`Messages`](super::messages::Messages) reads. Afterwards each picture gets its number as its timestamp, because
-/// encoders reject equal ones.
+/// which [`Messages`](super::messages::Messages) reads. Afterwards each picture gets as its timestamp the time of the
+/// first plus its number, because encoders reject timestamps that do not grow. The number alone would not do: when the
+/// size of the pictures changes, ffmpeg makes the filters anew, and they count from zero.
 fn filters(max_rate: Option<f64>) -> String {
     let taken = match max_rate {
         Some(rate) => format!("not(eq(ld(0)\\,st(0\\,floor(time(0)*{rate}))))"),
         None => "1".to_owned(),
     };
-    format!("select=st(1\\,{taken})*0+print(key+2*ld(1))*0+ld(1),setpts=N")
+    let select = format!("select=st(1\\,{taken})*0+print(key+2*ld(1))*0+ld(1)");
+    let first = "st(0\\,if(ld(0)\\,ld(0)\\,time(0)*1000000))";
+    format!("{select},settb={MICROSECONDS},setpts={first}+N")
 }
 
 /// True if `name` is one of the `words`.

@@ -6,12 +6,12 @@ use super::address::SourceKind;
 use super::ffmpeg::{FFMPEG, Version, Way, ffmpeg, version};
 use super::files::{Playlist, Recorded};
 use super::gstreamer::{GSTREAMER, gstreamer};
-use super::login::unknown_digest;
+use super::login::{answer_without_pictures, unknown_digest};
 use super::program::{PictureProgram, output_of};
 use super::settings::SourceSettings;
 use crate::input::arrivals::Arrivals;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
-use albireo_vision::recordings::{PassedOver, Recording};
+use albireo_vision::recordings::{FileKind, PassedOver, Recording};
 use reading::Ending;
 use std::path::Path;
 use std::sync::Arc;
@@ -78,7 +78,7 @@ pub struct LiveSource {
     way: Way,
     /// True once something that ffmpeg took for motion JPEG was something else.
     not_jpeg: bool,
-    /// Why it could not be read as motion JPEG with parts, while it is tried without them.
+    /// Why it could not be read as motion JPEG with parts, until it has been read without them.
     fault_as_jpeg: String,
     /// The files, if the source is several.
     files: Option<Playlist>,
@@ -133,6 +133,11 @@ impl LiveSource {
         let path = resolved.text();
         if resolved.kind == SourceKind::File && !Path::new(path).exists() {
             return Err(format!("{name}: no such file"));
+        }
+        if resolved.kind == SourceKind::File
+            && let Some(other) = FileKind::of(Path::new(path))
+        {
+            return Err(format!("{name}: {}", other.remedy()));
         }
         let files = match resolved.kind {
             SourceKind::Files => Some(Playlist::find(path)?),
@@ -292,5 +297,11 @@ impl LiveSource {
             return None;
         }
         unknown_digest(resolved.text())
+    }
+
+    /// What the address answers, in words, if that is nothing that can be read.
+    fn answer_without_pictures(&self) -> Option<String> {
+        let resolved = self.settings.address.resolved().ok()?;
+        answer_without_pictures(resolved.text())
     }
 }

@@ -1,4 +1,4 @@
-//! Asks a camera that has refused a login which logins it takes: ffmpeg does not know all, and does not say so.
+//! Asks a camera that gives no pictures which logins it takes, or what it sends instead: ffmpeg does not say it.
 
 use super::address::after_login;
 use std::io::{self, ErrorKind, Read, Write};
@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 const ANSWER: Duration = Duration::from_secs(3);
 /// The most bytes of an answer.
 const MAX_HEAD: usize = 16 << 10;
+/// The most characters of an answer that are shown.
+const MOST_SHOWN: usize = 60;
 /// What ffmpeg knows (`http_auth.c`); a digest without an algorithm is by MD5.
 const KNOWN: [&str; 2] = ["MD5", "MD5-sess"];
 
@@ -16,6 +18,53 @@ const KNOWN: [&str; 2] = ["MD5", "MD5-sess"];
 /// counts as no wrong one.
 pub(super) fn unknown_digest(address: &str) -> Option<String> {
     unknown(&head(address).ok()?)
+}
+
+/// What `address` answers, in words, if that is neither pictures nor a refusal. Asks without a login.
+pub(super) fn answer_without_pictures(address: &str) -> Option<String> {
+    without_pictures(&head(address).ok()?)
+}
+
+/// What the head of an answer says, if no pictures follow it.
+fn without_pictures(head: &str) -> Option<String> {
+    let (_, status) = head.lines().next()?.split_once(' ')?;
+    let shown: String = status.chars().filter(|c| !c.is_control()).take(MOST_SHOWN).collect();
+    let shown = shown.trim_end();
+    match status.get(..3)?.parse::<u16>().ok()? {
+        200 => {}
+        201..300 => return Some(format!("it answers {shown}: no picture")),
+        300..400 => {
+            return Some(format!(
+                "it answers {shown}: it sends to another address, as to a page with a login"
+            ));
+        }
+        // With the login it may answer otherwise.
+        _ => return None,
+    }
+    let content = values(head, "Content-Type").next()?;
+    let kind = content.split(';').next()?.trim().to_ascii_lowercase();
+    if kind.len() > MOST_SHOWN || !kind.chars().all(|c| c.is_ascii_graphic()) {
+        return None;
+    }
+    if ["text/html", "application/xhtml+xml"].contains(&kind.as_str()) {
+        return Some(format!(
+            "it answers {kind}: a web page, not the camera's stream"
+        ));
+    }
+    let is_text = kind.starts_with("text/")
+        || ["application/json", "application/xml"].contains(&kind.as_str());
+    if is_text {
+        return Some(format!("it answers {kind}: no pictures"));
+    }
+    None
+}
+
+/// The values of a header in the head of an answer.
+fn values<'a>(head: &'a str, name: &'a str) -> impl DoubleEndedIterator<Item = &'a str> {
+    head.lines().filter_map(move |line| {
+        let (found, value) = line.split_once(':')?;
+        found.trim().eq_ignore_ascii_case(name).then_some(value.trim())
+    })
 }
 
 /// The head of the answer to a request without a login.
@@ -67,11 +116,7 @@ fn head(address: &str) -> io::Result<String> {
 
 /// The algorithm that ffmpeg does not know. Of several offers it takes the last digest, and a digest before a basic login.
 fn unknown(head: &str) -> Option<String> {
-    let offers = head.lines().filter_map(|line| {
-        let (name, offer) = line.split_once(':')?;
-        name.trim().eq_ignore_ascii_case("WWW-Authenticate").then_some(offer.trim())
-    });
-    let mut digest = offers.filter_map(|offer| {
+    let mut digest = values(head, "WWW-Authenticate").filter_map(|offer| {
         let (kind, rest) = offer.split_once(' ')?;
         kind.eq_ignore_ascii_case("Digest").then_some(rest)
     });
@@ -112,5 +157,40 @@ mod tests {
             let head = format!("RTSP/1.0 401 Unauthorized\r\nCSeq: 1\r\n{offers}\r\n");
             assert_eq!(unknown(&head).as_deref(), found, "{offers}");
         }
+    }
+
+    #[test]
+    fn an_answer_that_is_no_camera_is_told_by_its_status_or_its_kind() {
+        let page = Some("it answers text/html: a web page, not the camera's stream");
+        for (status, kind, said) in [
+            ("200 OK", "text/html; charset=utf-8", page),
+            ("200", "Text/HTML", page),
+            (
+                "200 OK",
+                "application/json",
+                Some("it answers application/json: no pictures"),
+            ),
+            (
+                "204 No Content",
+                "",
+                Some("it answers 204 No Content: no picture"),
+            ),
+            (
+                "302 Found",
+                "text/html",
+                Some(
+                    "it answers 302 Found: it sends to another address, as to a page with a login",
+                ),
+            ),
+            ("200 OK", "image/jpeg", None),
+            ("200 OK", "multipart/x-mixed-replace; boundary=b", None),
+            ("200 OK", "application/vnd.apple.mpegurl", None),
+            ("401 Unauthorized", "text/html", None),
+            ("503 Service Unavailable", "text/html", None),
+        ] {
+            let head = format!("HTTP/1.1 {status}\r\ncontent-type: {kind}\r\n\r\n");
+            assert_eq!(without_pictures(&head).as_deref(), said, "{status} {kind}");
+        }
+        assert_eq!(without_pictures("nonsense"), None);
     }
 }

@@ -19,6 +19,24 @@ const MAX_AHEAD: usize = 256;
 /// Formats of recordings and of segments, by ffmpeg's name before its messages: they come as fast as they are read.
 const PACED: [&str; 3] = ["[hls @ ", "[dash @ ", "[mov,mp4,m4a,3gp,3g2,mj2 @ "];
 
+/// Before the address of a file of one picture. Its length is that of one frame.
+const ONE_PICTURE: &str = "[info] Input #0, image2, ";
+
+/// Before the type of a part that is no picture, at which ffmpeg ends a multipart stream.
+const OTHER_PART: &str = "Unexpected Content-Type : ";
+
+/// How ffmpeg writes the length of an answer that does not say it. Such an answer always ends too early.
+const UNKNOWN_LENGTH: &str = "should be 18446744073709551615";
+
+/// What ffmpeg says after the cause of a failure.
+const CONSEQUENCES: [&str; 5] = [
+    "Consider increasing the value for the ",
+    "Could not write header for output file",
+    "Error initializing output stream",
+    "Cannot determine format of input stream",
+    "Error marking filters as finished",
+];
+
 /// How far a connection has come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Stage {
@@ -53,6 +71,8 @@ pub(super) struct Messages {
     line: Vec<u8>,
     /// The codec of the input, which ffmpeg reports before that of its output.
     codec: Option<String>,
+    /// True if the input is a file of one picture.
+    is_one_picture: bool,
     /// True if the input comes as fast as it is read.
     is_paced: bool,
     /// True once the camera has offered sound.
@@ -91,6 +111,16 @@ impl Messages {
     /// True if the source waits for its reader, as a recording does, and a camera does not.
     pub(super) fn is_paced(&self) -> bool {
         self.is_paced
+    }
+
+    /// The type of a part of a multipart stream that is no picture: ffmpeg has ended there.
+    pub(super) fn other_part(&self) -> Option<&str> {
+        self.complaints.iter().find_map(|complaint| complaint.strip_prefix(OTHER_PART))
+    }
+
+    /// True if a recording has no pictures where its index says that there are some.
+    pub(super) fn is_partial(&self) -> bool {
+        self.complaints.iter().any(|complaint| complaint.ends_with(": partial file"))
     }
 
     /// How far the connection has come.
@@ -235,7 +265,9 @@ impl Messages {
         let has_end = text
             .strip_prefix("[info]   Duration: ")
             .is_some_and(|length| length.starts_with(|c: char| c.is_ascii_digit()));
-        self.is_paced |= has_end || PACED.iter().any(|format| text.starts_with(format));
+        self.is_one_picture |= text.starts_with(ONE_PICTURE);
+        self.is_paced |= has_end && !self.is_one_picture;
+        self.is_paced |= PACED.iter().any(|format| text.starts_with(format));
         if self.codec.is_none() {
             self.codec = codec(text);
         }
@@ -254,8 +286,16 @@ impl Messages {
         if let Some(said) = complaints.iter().find_map(|complaint| of_element(complaint)) {
             return Some(said);
         }
-        let mut newest_first = complaints.iter().rev();
-        let last = newest_first.next()?;
+        if let Some(kind) = self.other_part() {
+            return Some(format!(
+                "its parts are {kind}, and only JPEG pictures can be read"
+            ));
+        }
+        if self.is_partial() && self.stage < Stage::Decoded {
+            return Some(NO_RANGES.to_owned());
+        }
+        let mut newest_first = complaints.iter().rev().filter(|said| !is_consequence(said));
+        let last = newest_first.next().or(complaints.back())?;
         match newest_first.next() {
             Some(before) => Some(joined(before, last)),
             None => Some(last.clone()),
@@ -284,6 +324,14 @@ fn of_element(complaint: &str) -> Option<String> {
     let (_, error) = complaint.strip_prefix("ERROR: from element ")?.split_once(": ")?;
     Some(error.trim_end_matches('.').to_owned())
 }
+
+/// True for what is said only because of another complaint.
+fn is_consequence(complaint: &str) -> bool {
+    complaint.is_empty() || CONSEQUENCES.iter().any(|begin| complaint.starts_with(begin))
+}
+
+const NO_RANGES: &str = "its pictures cannot be reached: it is cut short, or its index is at its end and the server gives \
+    no parts of it (HTTP ranges); then make it with `-movflags faststart`";
 
 const ONLY_SOUND: &str = "it sends sound, but no pictures: is this the address of its video?";
 
@@ -319,6 +367,7 @@ fn complaint(line: &str) -> Option<String> {
     if line.is_empty()
         || is_information
         || is_description
+        || line.ends_with(UNKNOWN_LENGTH)
         || line.contains("deprecated pixel format")
     {
         return None;
@@ -437,6 +486,38 @@ mod tests {
                 &["[error] moov atom not found", "[error] x.mp4: Invalid data"],
                 "moov atom not found; x.mp4: Invalid data",
             ),
+            (
+                &[
+                    "[http @ 0x1] [error] Stream ends prematurely at 0, should be 18446744073709551615",
+                    "[error] http://cam/x: Input/output error",
+                ],
+                "http://cam/x: Input/output error",
+            ),
+            (
+                &[
+                    "[mpjpeg @ 0x1] [error] Unexpected Content-Type : image/png",
+                    "[mpjpeg @ 0x1] [error] dimensions not set",
+                    "[error] Error initializing output stream 0:0 --",
+                    "[error] ",
+                ],
+                "its parts are image/png, and only JPEG pictures can be read",
+            ),
+            (
+                &[
+                    "[mov,mp4,m4a,3gp,3g2,mj2 @ 0x1] [error] stream 0, offset 0x30: partial file",
+                    "[error] Cannot determine format of input stream 0:0 after EOF",
+                    "[fatal] Error marking filters as finished",
+                ],
+                NO_RANGES,
+            ),
+            (
+                &[
+                    "[mjpeg @ 0x1] [error] unspecified size",
+                    "[error] Error initializing output stream 0:0 --",
+                    "[error] ",
+                ],
+                "unspecified size",
+            ),
         ] {
             assert_eq!(heard(lines).reason().as_deref(), Some(reason));
         }
@@ -526,5 +607,13 @@ mod tests {
         ] {
             assert_eq!(heard(&[line]).is_paced(), paced, "{line}");
         }
+    }
+
+    #[test]
+    fn a_file_of_one_picture_is_no_recording() {
+        let opened = "[info] Input #0, image2, from 'http://cam/snap.jpg':";
+        let length = "[info]   Duration: 00:00:00.04, start: 0.000000, bitrate: 2537 kb/s";
+        assert!(!heard(&[opened, length]).is_paced());
+        assert!(heard(&[length]).is_paced());
     }
 }

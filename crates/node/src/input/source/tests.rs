@@ -3,7 +3,7 @@
 mod http;
 mod rtsp;
 
-use super::{LiveSource, SourceAddress, SourceEvent};
+use super::{LiveSource, SourceAddress, SourceEvent, SourceSettings};
 use crate::config::CameraConfig;
 use crate::input::arrivals::{ArrivalCounts, Arrivals};
 use albireo_core::geometry::PictureSize;
@@ -45,7 +45,10 @@ struct Open {
 
 impl Open {
     async fn new(camera: CameraConfig) -> Self {
-        let settings = camera.source_settings(FrameLimits::default()).unwrap();
+        Self::with(camera.source_settings(FrameLimits::default()).unwrap()).await
+    }
+
+    async fn with(settings: SourceSettings) -> Self {
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings));
         let arrivals = Arc::new(Arrivals::default());
         let source = found.await.unwrap().unwrap().counting(Arc::clone(&arrivals));
@@ -327,6 +330,61 @@ async fn video_of_more_than_eight_bits_is_a_source() {
         assert_eq!(second.picture.size, PictureSize::new(320, 180), "{name}");
         source.stop().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn pictures_that_change_their_size_are_read_on_decoded_and_encoded_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut film = Vec::new();
+    for size in ["320x180", "160x90"] {
+        let part = folder.path().join(format!("{size}.ts"));
+        let input = format!("testsrc2=size={size}:rate=15:duration=1");
+        let status = Command::new("ffmpeg")
+            .args(["-v", "error", "-f", "lavfi", "-i", &input])
+            .args(["-c:v", "libx264", "-pix_fmt", "yuv420p"])
+            .arg(&part)
+            .status()
+            .unwrap();
+        assert!(status.success(), "{size}");
+        film.extend(std::fs::read(&part).unwrap());
+    }
+    let file = folder.path().join("changes.ts");
+    std::fs::write(&file, film).unwrap();
+    for as_jpeg in [false, true] {
+        let config = camera(file.to_str().unwrap());
+        let mut settings = config.source_settings(FrameLimits::default()).unwrap();
+        settings.as_jpeg = as_jpeg;
+        let mut source = Open::with(settings).await;
+        // More than once through the film.
+        source.pictures(40).await;
+        source.stop().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_file_that_is_cut_short_is_told_and_played_once_it_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("drive.mp4");
+    let status = Command::new("ffmpeg")
+        .args(["-v", "error"])
+        .args(BOXES)
+        .args(["-c:v", "libx264", "-movflags", "faststart"])
+        .arg(&file)
+        .status()
+        .unwrap();
+    assert!(status.success());
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+    let mut source = Open::at(file.to_str().unwrap()).await;
+    let SourceEvent::Failed { reason, .. } = source.next().await else {
+        panic!("a picture came");
+    };
+    assert!(reason.starts_with("it is cut short"), "{reason}");
+    std::fs::write(&file, &whole).unwrap();
+    source.pictures(5).await;
+    source.stop().await;
 }
 
 /// Makes a video of a second, with ten pictures.

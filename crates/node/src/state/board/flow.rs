@@ -121,7 +121,9 @@ impl Flow {
             }
         }
         let arrived = last.arrived.frames - first.arrived.frames;
-        let came = arrived.max(all);
+        // Lost frames never arrived. Some that are dropped arrived before the ten seconds.
+        let lost = last.dropped.lost - first.dropped.lost;
+        let came = (arrived + lost).max(all);
         if all <= FEW || all * 2 <= came {
             return None;
         }
@@ -195,17 +197,19 @@ mod tests {
                 self.arrived.frames += frames;
                 self.arrived.broken += bad.broken;
                 self.dropped.overrun += bad.overrun;
+                self.dropped.lost += bad.lost;
                 self.flow.sample(self.now, self.arrived.clone(), self.dropped);
             }
             self.flow.fault(Some("error while decoding MB 3 4"))
         }
     }
 
-    /// Frames of each second that are broken, and that are dropped.
+    /// Frames of each second that are broken, that are dropped, and that never arrive.
     #[derive(Clone, Copy, Default)]
     struct Bad {
         broken: u64,
         overrun: u64,
+        lost: u64,
     }
 
     #[test]
@@ -239,23 +243,38 @@ mod tests {
         let fewer_than_half = Bad {
             broken: 7,
             overrun: 7,
+            ..Bad::default()
         };
         assert_eq!(camera.send_some_bad(20, 15, fewer_than_half), None);
         let broken = Bad {
             broken: 8,
-            overrun: 0,
+            ..Bad::default()
         };
         let said = camera.send_some_bad(10, 15, broken).unwrap();
         let begin =
             "its pictures are broken: 80 of 150 in the last 10 s (error while decoding MB 3 4)";
         assert!(said.starts_with(begin), "{said}");
         let dropped = Bad {
-            broken: 0,
             overrun: 10,
+            ..Bad::default()
         };
         let said = camera.send_some_bad(10, 15, dropped).unwrap();
         let begin =
             "most of its frames are dropped: 100 of 150 in the last 10 s, 100 of them overrun";
+        assert!(said.starts_with(begin), "{said}");
+    }
+
+    #[test]
+    fn lost_frames_are_counted_among_those_that_were_sent() {
+        let lost = |lost| Bad {
+            lost,
+            ..Bad::default()
+        };
+        let mut camera = Camera::new();
+        // Six of sixteen.
+        assert_eq!(camera.send_some_bad(20, 10, lost(6)), None);
+        let said = camera.send_some_bad(11, 10, lost(30)).unwrap();
+        let begin = "most of its frames are dropped: 300 of 400 in the last 10 s, 300 of them lost";
         assert!(said.starts_with(begin), "{said}");
     }
 }

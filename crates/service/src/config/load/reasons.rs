@@ -63,8 +63,10 @@ fn without_line(message: &str) -> String {
             .starts_with('|')
     };
     let said: Vec<_> = message.lines().filter(|line| !is_copy(line)).collect();
-    match said.split_first() {
-        Some((place, reasons)) if !reasons.is_empty() => format!("{place}: {}", reasons.join("; ")),
+    match said.as_slice() {
+        // The parser has no words for a file that ends where a value has to be.
+        [place, ""] => format!("{place}: a value is expected before the end of the file"),
+        [place, reasons @ ..] if !reasons.is_empty() => format!("{place}: {}", reasons.join("; ")),
         _ => message.to_owned(),
     }
 }
@@ -76,7 +78,18 @@ fn in_words(expected: &str) -> &str {
         "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
         "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
         "bool" => "true or false",
+        "unit" | "unit variant" => "a name alone",
+        "newtype variant" => "a name with its value, { name = value }",
+        other if other == "enum" || other.starts_with("enum ") => "a name",
         other => other,
+    }
+}
+
+/// A readable description of the value that was found.
+fn found_in_words(found: &Actual) -> String {
+    match found {
+        Actual::UnitVariant => "a name alone".to_owned(),
+        other => other.to_string(),
     }
 }
 
@@ -89,7 +102,11 @@ fn reason(kind: &Kind) -> String {
         },
         Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
-            format!("must be {}, not {found}", in_words(expected))
+            format!(
+                "must be {}, not {}",
+                in_words(expected),
+                found_in_words(found)
+            )
         }
         Kind::Message(message) => without_line(message),
         other => other.to_string(),

@@ -126,6 +126,18 @@ fn no_error_quotes_a_line_or_value_that_may_be_a_secret() {
     }
 }
 
+#[test]
+fn a_file_that_ends_where_a_value_has_to_be_is_told_so() {
+    for (text, column) in [("[http]\nport = ", 8), ("[http]\nport = {a = ", 13)] {
+        let (_, findings) = examine_text::<Small>(text);
+        let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+        let error = format!(
+            "TOML parse error at line 2, column {column}: a value is expected before the end of the file"
+        );
+        assert_eq!(reported, [error], "{text}");
+    }
+}
+
 #[derive(serde::Deserialize, Debug, PartialEq)]
 #[serde(rename_all = "lowercase")]
 enum Mode {
@@ -274,6 +286,100 @@ fn a_variable_of_another_type_is_reported_with_its_name() {
         let reported = wrong.join("; ");
         assert!(reported.starts_with(error), "{reported}");
         assert!(reported.contains(&from(&key.to_uppercase())), "{reported}");
+    }
+}
+
+#[test]
+fn a_variable_with_a_typing_error_in_its_name_is_one_error() {
+    for (name, text, error) in [
+        (
+            "ALBIREO_NDE__PORT",
+            "80",
+            "nde: unknown key `nde`; did you mean `node`? (from environment variable ALBIREO_NDE)",
+        ),
+        (
+            "ALBIREO_NODE__V",
+            "3e-4",
+            "node.v: unknown key `v`; did you mean `u`? (from environment variable ALBIREO_NODE__V)",
+        ),
+    ] {
+        let variables = [(name.to_owned(), text.to_owned())];
+        let (_, findings) = examine_with::<Typed>("", &variables, None);
+        let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+        assert_eq!(reported, [error], "{name}");
+    }
+}
+
+#[test]
+fn a_key_beside_a_misspelt_one_is_read_and_its_own_error_reported() {
+    let (_, findings) = examine_text::<Small>("[http]\nprt = 2\nport = \"low\"\n");
+    let mut reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+    reported.sort();
+    let expected = [
+        "http.port: must be a whole number, 0 or more, not string \"low\"",
+        "http.prt: unknown key `prt`; did you mean `port`?",
+    ];
+    assert_eq!(reported, expected);
+}
+
+#[test]
+fn a_number_that_is_not_finite_does_not_pass_for_a_key_that_is_not_set() {
+    for (text, key) in [
+        ("u = inf", "node.u"),
+        ("u = -inf", "node.u"),
+        ("u = nan", "node.u"),
+        ("port = inf", "node.port"),
+        ("sizes = [1, nan]", "node.sizes[1]"),
+    ] {
+        let (_, wrong) = typed(&format!("[node]\n{text}\n"), &[]);
+        let error = format!("{key}: must be a finite number, not inf or nan");
+        assert_eq!(wrong, [error], "{text}");
+    }
+}
+
+#[derive(serde::Deserialize, Debug, PartialEq)]
+#[serde(rename_all = "lowercase")]
+enum Goal {
+    Recall(f64),
+}
+
+#[derive(serde::Deserialize, Default)]
+#[serde(default)]
+struct Held {
+    hold: Option<Goal>,
+}
+
+impl Configuration for Held {
+    const SECTIONS: &'static [&'static str] = &[];
+
+    fn findings(&self) -> Vec<Finding> {
+        Vec::new()
+    }
+}
+
+#[test]
+fn a_wrong_choice_with_a_value_is_one_error_in_plain_words() {
+    let (config, findings) = examine_text::<Held>("hold = { recall = 0.9 }\n");
+    assert_eq!(config.unwrap().hold, Some(Goal::Recall(0.9)));
+    assert!(findings.is_empty());
+    for (text, error) in [
+        (
+            "hold = \"recall\"",
+            "hold: must be a name with its value, { name = value }, not a name alone",
+        ),
+        ("hold = 3", "hold: must be a name, not unsigned int `3`"),
+        (
+            "hold = { recal = 0.9 }",
+            "hold.recal: `recal` is not `recall`",
+        ),
+        (
+            "hold = { recall = inf }",
+            "hold.recall: must be a finite number, not inf or nan",
+        ),
+    ] {
+        let (_, findings) = examine_text::<Held>(text);
+        let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+        assert_eq!(reported, [error], "{text}");
     }
 }
 

@@ -103,6 +103,18 @@ fn options_reach_the_camera_even_if_its_address_has_a_password() {
 }
 
 #[test]
+fn the_ending_of_an_address_with_a_password_does_not_make_it_a_file() {
+    for (address, hidden) in [
+        ("http://u:hidden@cam/snap.JPG", "snap.JPG?'"),
+        ("http://u:hidden@cam/get?file=snap.jpeg", "snap.jpeg&'"),
+        ("http://u:hidden@cam/v.mjpg", "v.mjpg'"),
+    ] {
+        let program = ffmpeg(&settings(address, ""), None, Way::BareJpeg, (5, 1)).unwrap();
+        assert_has(&program.input.unwrap(), &[hidden]);
+    }
+}
+
+#[test]
 fn memory_is_limited_unless_a_driver_needs_it() {
     let mut settings = settings("http://cam/v.mjpg", "");
     let program = ffmpeg(&settings, None, Way::Jpeg, (5, 1)).unwrap();

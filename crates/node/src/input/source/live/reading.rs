@@ -10,9 +10,10 @@ use crate::input::source::program::RunningProgram;
 use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, picture_of_file, read_part, read_ppm,
 };
-use albireo_vision::recordings::{PassedOver, Recording};
+use albireo_vision::recordings::{FileKind, PassedOver, Recording, check_is_whole};
 use bytes::Bytes;
 use std::io::{self, BufReader};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -79,6 +80,9 @@ impl LiveSource {
         continues: bool,
         stop: CancellationToken,
     ) -> Ending {
+        if let Err(fault) = self.check_file() {
+            return Ending::Failed(fault);
+        }
         let mut recording = None;
         if let Some(files) = &mut self.files {
             let next = files.next(|passed_over| pass_over(&self.arrivals, each, passed_over));
@@ -106,6 +110,7 @@ impl LiveSource {
             continues: continues && !begins_drive,
             recording: recording.as_ref(),
         };
+        let came_before = self.arrivals.now().frames;
         let PassedOn { pictures, cut } = self.pass_on(&mut output, opening, each);
         let running = output.get_mut();
         let ended = match cut {
@@ -117,21 +122,39 @@ impl LiveSource {
         };
         if pictures > 0 {
             self.refusals = 0;
+            self.fault_as_jpeg.clear();
+        }
+        if stop.is_cancelled() {
+            return Ending::Failed("it is stopped".to_owned());
         }
         if let Some(recording) = recording {
-            if stop.is_cancelled() {
-                return Ending::Failed("it is stopped".to_owned());
-            }
             return self.file_ended(recording, ended, pictures, each);
         }
-        self.source_ended(ended, pictures, running.messages())
+        let came = self.arrivals.now().frames - came_before;
+        self.source_ended(ended, pictures, came, running.messages())
     }
 
-    /// What follows once a source, of which so many pictures came, has ended.
+    /// Checks that the file is a whole video, if the source is one. It may be in the middle of being copied, so it is
+    /// looked at before each attempt.
+    fn check_file(&self) -> Result<(), String> {
+        let resolved = self.settings.address.resolved()?;
+        let path = Path::new(resolved.text());
+        // A pipe cannot be looked into.
+        if resolved.kind != SourceKind::File || !path.is_file() {
+            return Ok(());
+        }
+        match FileKind::of(path) {
+            Some(other) => Err(other.remedy().to_owned()),
+            None => check_is_whole(path),
+        }
+    }
+
+    /// What follows once a source has ended, of which so many frames `came` and so many `pictures` were taken.
     fn source_ended(
         &mut self,
         ended: Result<(), String>,
         pictures: u64,
+        came: u64,
         messages: &Messages,
     ) -> Ending {
         if pictures == 0
@@ -141,39 +164,60 @@ impl LiveSource {
             return Ending::OtherWay;
         }
         let is_http = self.settings.address.kind().is_http();
+        // A stream whose pictures have something else between them is read past it.
+        if self.way == Way::Jpeg && pictures > 0 && messages.other_part().is_some() {
+            self.way = Way::BareJpeg;
+            return Ending::OtherWay;
+        }
         if ended.is_ok() && pictures > 0 && is_http {
+            if self.way == Way::Paced && messages.is_partial() {
+                let reason = "it is cut short, and was played to where it breaks off";
+                return Ending::Failed(reason.to_owned());
+            }
             if self.way == Way::Paced {
                 return Ending::GoesOn {
                     period: FIRST_PAUSE,
                 };
             }
             // A camera that sends one picture for each request.
-            if self.way == Way::Jpeg && pictures == 1 {
+            if came == 1 {
                 let seconds = self.settings.max_rate.map_or(1.0, |rate| 1.0 / rate);
                 let period = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST_SILENCE);
                 return Ending::GoesOn { period };
             }
         }
-        let answered = messages.stage() >= Stage::Connected;
         let reason = ended.err().unwrap_or_else(|| "it ended".to_owned());
         if pictures > 0 {
             return Ending::Failed(reason);
         }
+        let has_answered = is_http && messages.stage() >= Stage::Connected && !is_refusal(&reason);
+        self.without_pictures(reason, has_answered)
+    }
+
+    /// What follows once a source has shown no picture. `has_answered` is true if it has answered over HTTP, and not with
+    /// a refusal.
+    fn without_pictures(&mut self, mut reason: String, has_answered: bool) -> Ending {
         let is_device = self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some();
         match self.way {
             // A device without motion JPEG cannot be opened for it.
             Way::Jpeg if is_device => self.way = Way::Decoded,
             Way::Decoded if is_device => self.way = Way::Jpeg,
-            Way::Jpeg if is_http && answered && !is_refusal(&reason) => {
+            Way::Jpeg if has_answered => {
                 self.way = Way::BareJpeg;
                 self.fault_as_jpeg = reason;
                 return Ending::OtherWay;
             }
             Way::BareJpeg => {
                 self.way = Way::Jpeg;
-                return Ending::Failed(std::mem::take(&mut self.fault_as_jpeg));
+                let as_jpeg = std::mem::take(&mut self.fault_as_jpeg);
+                if !as_jpeg.is_empty() {
+                    reason = as_jpeg;
+                }
             }
             _ => {}
+        }
+        if has_answered && let Some(answer) = self.answer_without_pictures() {
+            reason = format!("{answer} ({reason})");
         }
         Ending::Failed(reason)
     }

@@ -1,6 +1,5 @@
-//! Connects to a hook or a broker, with TLS where its address asks for it.
+//! Connects to a place in the network, with TLS where that is asked for, and says in words why that fails.
 
-use super::address::Endpoint;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{CertificateError, ClientConfig, RootCertStore};
@@ -17,30 +16,50 @@ use tokio_rustls::TlsConnector;
 const CONNECTED_WITHIN: Duration = Duration::from_secs(5);
 
 /// A connection.
-pub(super) trait Connection: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
+pub trait ByteStream: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
 
-impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> Connection for T {}
+impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> ByteStream for T {}
 
 /// Connects to one place.
 #[derive(Clone)]
-pub(super) struct Connector {
-    place: Endpoint,
+pub struct Connector {
+    host: String,
+    port: u16,
     tls: Option<TlsConnector>,
 }
 
 impl Connector {
-    /// Reads the certificates of the authorities that may sign the place's: those of a file, or the system's.
-    pub(super) fn new(place: Endpoint, authority: Option<&Path>) -> Result<Self, String> {
-        let tls = if place.is_secure {
-            Some(tls(authority)?)
-        } else {
-            None
-        };
-        Ok(Self { place, tls })
+    /// Connects without TLS.
+    pub fn plain(host: impl Into<String>, port: u16) -> Self {
+        Self {
+            host: host.into(),
+            port,
+            tls: None,
+        }
     }
 
-    /// Opens a connection. The error says in words what to do.
-    pub(super) async fn open(&self) -> io::Result<Box<dyn Connection>> {
+    /// Connects with TLS. Reads the certificates of the authorities that may sign the place's: those of a file, or the
+    /// system's.
+    ///
+    /// # Errors
+    /// Why there are none.
+    pub fn secure(
+        host: impl Into<String>,
+        port: u16,
+        authority: Option<&Path>,
+    ) -> Result<Self, String> {
+        Ok(Self {
+            host: host.into(),
+            port,
+            tls: Some(tls(authority)?),
+        })
+    }
+
+    /// Opens a connection.
+    ///
+    /// # Errors
+    /// In words, what is wrong and what to do.
+    pub async fn open(&self) -> io::Result<Box<dyn ByteStream>> {
         if let Ok(opened) = timeout(CONNECTED_WITHIN, self.open_slowly()).await {
             return opened;
         }
@@ -49,16 +68,15 @@ impl Connector {
         Err(io::Error::other(reason))
     }
 
-    async fn open_slowly(&self) -> io::Result<Box<dyn Connection>> {
-        let Endpoint { host, port, .. } = &self.place;
-        let stream = TcpStream::connect((host.as_str(), *port))
+    async fn open_slowly(&self) -> io::Result<Box<dyn ByteStream>> {
+        let stream = TcpStream::connect((self.host.as_str(), self.port))
             .await
             .map_err(|error| io::Error::other(unreachable(&error)))?;
         stream.set_nodelay(true)?;
         let Some(tls) = &self.tls else {
             return Ok(Box::new(stream));
         };
-        let name = ServerName::try_from(host.clone()).map_err(io::Error::other)?;
+        let name = ServerName::try_from(self.host.clone()).map_err(io::Error::other)?;
         let secured = tls
             .connect(name, stream)
             .await
