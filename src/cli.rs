@@ -198,9 +198,9 @@ impl Command {
 /// process. Invalid arguments end it with a message.
 pub fn run() -> ! {
     let command = Arguments::parse().command;
-    panics::end_quietly_at_a_closed_pipe();
+    panics::end_if_nothing_can_be_printed();
     variables::start_with(command.variables());
-    let code = match command.run() {
+    let mut code = match command.run() {
         Ok(code) => code,
         Err(error) => {
             let said = format!("albireo: {}", in_words(&error));
@@ -211,7 +211,9 @@ pub fn run() -> ! {
     // This exit runs none of the C library's exit handlers: they would tear ONNX Runtime down while a thread of it may
     // still load a model. All that must be kept was committed before; only what standard output and the log hold back
     // is still to be written.
-    let _ = std::io::stdout().flush();
+    if let Err(error) = std::io::stdout().flush() {
+        code = panics::say_unprinted("stdout", &error.to_string());
+    }
     logging::finish();
     signal_hook::low_level::exit(code)
 }
@@ -332,6 +334,30 @@ mod tests {
             .context("evaluating");
         let expected = "evaluating: cannot read a.csv: no such file";
         assert_eq!(in_words(&error), expected);
+    }
+
+    /// Lists the commands whose option `--detector` cannot be written `--model`.
+    #[cfg(feature = "eval")]
+    fn collect_without_model(command: &clap::Command, without: &mut Vec<String>) {
+        for argument in command.get_arguments() {
+            let others = argument.get_all_aliases().unwrap_or_default();
+            if argument.get_long() == Some("detector") && !others.contains(&"model") {
+                without.push(command.get_name().to_owned());
+            }
+        }
+        for subcommand in command.get_subcommands() {
+            collect_without_model(subcommand, without);
+        }
+    }
+
+    #[cfg(feature = "eval")]
+    #[test]
+    fn every_command_with_a_detector_takes_it_as_a_model_too() {
+        let mut without = Vec::new();
+        collect_without_model(&Arguments::command(), &mut without);
+        assert_eq!(without, [""; 0]);
+        let words = "albireo eval video drive.mp4 --model other.onnx";
+        assert!(Arguments::try_parse_from(words.split(' ')).is_ok());
     }
 
     #[cfg(feature = "hub")]

@@ -279,6 +279,21 @@ fn a_source_that_cannot_be_opened_is_named_with_a_remedy(
     assert_contains(&said, parts);
 }
 
+#[test]
+fn a_source_that_is_a_bag_or_an_archive_is_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, begins, remedy) in [
+        ("a.bag", "#ROSBAG V2.0\n", "rosbags-convert"),
+        ("a.zip", "PK\x03\x04", "unpack it"),
+    ] {
+        let file = folder.path().join(name);
+        std::fs::write(&file, begins).unwrap();
+        let file = file.to_str().unwrap();
+        let said = run(&["publish", file], &[("PATH", "/nowhere")]).fails();
+        assert_contains(&said, &[name, remedy]);
+    }
+}
+
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]

@@ -86,6 +86,29 @@ fn check_names_a_file_with_a_secret_that_every_user_can_read() {
     }
 }
 
+#[test]
+fn check_finds_the_token_and_the_database_with_which_a_hub_would_not_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hub.toml");
+    std::fs::write(folder.path().join("token"), "").unwrap();
+    let place = folder.path().display();
+    let text = format!(
+        "[http]\ntoken_file = \"{place}/token\"\n[database]\nurl = \"sqlite:{place}/nowhere/hub.db\"\n"
+    );
+    std::fs::write(&file, text).unwrap();
+    let file = file.to_str().unwrap();
+    let said = run(&["check", file], &[]).fails();
+    let expected = [
+        "http.token_file: ",
+        "the first line is empty",
+        "database.url: the folder ",
+        "does not exist: create it",
+    ];
+    assert_contains(&said, &expected);
+    assert!(!said.contains("holds a secret"), "{said}");
+    run(&["check", "--file-only", file], &[]).succeeds();
+}
+
 /// Tries everything that the shipped configuration with an uplink names, as a node uses it.
 fn check_online(uplink: &str, more: (&str, &str)) -> Ended {
     let uplink = format!("[\"{uplink}\"]");
@@ -133,6 +156,38 @@ fn a_reader_that_has_seen_enough_ends_the_program_without_a_word(#[case] argumen
         .unwrap();
     assert_eq!(String::from_utf8_lossy(&ended.stderr), "");
     assert_eq!(ended.status.code(), Some(141));
+}
+
+#[rstest]
+#[case::lines(&["check", "--file-only", "config/node.toml"])]
+#[case::a_script(&["completions", "bash"])]
+fn a_full_disk_that_takes_no_output_is_told_in_one_line(#[case] arguments: &[&str]) {
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let ended = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .stdout(full)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    let expected = "albireo: stdout cannot be written: No space";
+    assert!(said.starts_with(expected), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    assert_eq!(ended.status.code(), Some(1));
+}
+
+#[rstest]
+#[case::an_error(&["check", "nowhere.toml"])]
+#[case::a_command_of_the_evaluation(&["eval", "recorded", "nowhere"])]
+fn a_reader_of_what_is_noted_that_has_seen_enough_ends_the_program_too(#[case] arguments: &[&str]) {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let ended = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .stdout(std::process::Stdio::null())
+        .stderr(writer)
+        .status()
+        .unwrap();
+    assert_eq!(ended.code(), Some(141));
 }
 
 #[test]

@@ -109,6 +109,16 @@ fn the_demo_says_of_a_wrong_clip_only_that_it_is_wrong() {
     assert_contains(&ended.fails(), &["nowhere.mp4: no such file or folder"]);
 }
 
+#[test]
+fn the_demo_says_what_it_loads_before_it_does() {
+    let words = "demo --detector Cargo.toml --port 0 --hub-port 0";
+    let words: Vec<&str> = words.split(' ').collect();
+    let ended = run(&words, &[]);
+    let said = "loading Cargo.toml: seconds on a PC";
+    assert!(ended.out.starts_with(said), "{}", ended.out);
+    assert_contains(&ended.fails(), &["albireo: "]);
+}
+
 #[rstest::rstest]
 #[ignore = "needs ONNX Runtime"]
 fn the_demo_says_which_port_is_in_use_and_which_it_takes() {

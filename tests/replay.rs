@@ -194,6 +194,38 @@ fn video_frames_are_cut_from_the_output_of_ffmpeg_and_can_be_rewound() {
 }
 
 #[test]
+fn a_video_of_which_frames_are_missing_says_how_many_were_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = grey_jpeg(50, [64, 48]);
+    let head = format!(
+        "--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: {}\r\n\r\n",
+        picture.len()
+    );
+    let output = folder.path().join("stream");
+    std::fs::write(&output, [head.as_bytes(), &picture, b"\r\n"].concat()).unwrap();
+    let file = folder.path().join("a.avi");
+    std::fs::write(&file, "half of a video").unwrap();
+    for (said, expected) in [
+        ("", "1 of 2 frames could be read"),
+        (
+            "echo 'partial file' >&2",
+            "1 of 2 frames could be read; ffmpeg said: partial file",
+        ),
+    ] {
+        let programs = tempfile::tempdir().unwrap();
+        let answer = format!("cat '{}'\n{said}", output.display());
+        let programs = stand_ins(programs.path(), &answer);
+        let name = file.to_str().unwrap();
+        let mut video = Video::open(name, None, VideoEncoding::Jpeg, programs).unwrap();
+        assert!(video.next().unwrap().is_some());
+        assert_eq!(video.next().unwrap(), None);
+        assert_eq!(video.remarks(), [format!("{name}: {expected}")]);
+        video.rewind().unwrap();
+        assert_eq!(video.remarks(), [""; 0]);
+    }
+}
+
+#[test]
 fn a_failing_ffmpeg_is_quoted_and_a_missing_one_comes_with_how_to_install_it() {
     let folder = tempfile::tempdir().unwrap();
     let programs = stand_ins(folder.path(), "echo 'moov atom not found' >&2; exit 1");
@@ -259,6 +291,64 @@ async fn a_real_video_arrives_frame_by_frame() {
     }
 }
 
+#[test]
+#[ignore = "needs ffmpeg"]
+fn a_video_whose_pictures_change_their_size_loses_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut stream = Vec::new();
+    for (name, size) in [("1.ts", "320x180"), ("2.ts", "160x90"), ("3.ts", "320x180")] {
+        let file = folder.path().join(name);
+        let picture = format!("testsrc=size={size}:rate=10:duration=2");
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        ffmpeg.args([
+            "-v", "error", "-f", "lavfi", "-i", &picture, "-c:v", "libx264",
+        ]);
+        assert!(ffmpeg.arg(&file).status().unwrap().success());
+        stream.extend(std::fs::read(file).unwrap());
+    }
+    let file = folder.path().join("changing.ts");
+    std::fs::write(&file, stream).unwrap();
+    for encoding in [VideoEncoding::Jpeg, VideoEncoding::Png] {
+        let file = file.to_str().unwrap();
+        let mut video = Video::open(file, None, encoding, Ffmpeg::default()).unwrap();
+        let mut pictures = 0;
+        while let Some(picture) = video.next().unwrap() {
+            assert_eq!(picture.size, PictureSize::new(320, 180));
+            pictures += 1;
+        }
+        assert_eq!(pictures, 60);
+    }
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn a_video_that_is_cut_short_says_so_and_one_that_leaves_out_frames_by_its_index_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = test_video(folder.path(), "whole.mp4", "rate=10:duration=3");
+    let remade = |name: &str, options: &[&str]| {
+        let file = folder.path().join(name);
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error"]).args(options);
+        ffmpeg.arg("-i").arg(&whole).args(["-c", "copy", "-movflags", "faststart"]);
+        assert!(ffmpeg.arg(&file).status().unwrap().success());
+        file
+    };
+    let remarks = |file: &Path| {
+        let file = file.to_str().unwrap();
+        let encoding = VideoEncoding::Jpeg;
+        let mut video = Video::open(file, None, encoding, Ffmpeg::default()).unwrap();
+        while video.next().unwrap().is_some() {}
+        video.remarks()
+    };
+    let cut = remade("cut.mp4", &[]);
+    let bytes = std::fs::read(&cut).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let said = remarks(&cut).join("");
+    assert_contains(&said, &[" of 30 frames could be read; it is cut short: "]);
+    assert_eq!(remarks(&remade("trimmed.mp4", &["-ss", "1"])), [""; 0]);
+    assert_eq!(remarks(&whole), [""; 0]);
+}
+
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
@@ -305,4 +395,16 @@ async fn a_picture_that_cannot_be_read_is_left_out_of_a_replay_and_counted() {
     std::fs::write(folder.path().join("1.jpg"), "no picture").unwrap();
     let (frames, sent) = replayed(folder.path(), "--rate max", Duration::ZERO).await;
     assert_eq!((frames.len(), sent.left_out), (2, 1));
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_replay_of_which_nothing_can_be_sent_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("1.jpg"), "no picture").unwrap();
+    let (_session, endpoint) = listening_peer().await;
+    let more = format!("--connect {endpoint}");
+    let ended = replay::run(arguments(folder.path(), &more), CancellationToken::new()).await;
+    let error = ended.unwrap_err().to_string();
+    assert_contains(&error, &["no picture in it can be sent"]);
 }

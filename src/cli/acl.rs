@@ -12,9 +12,9 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Zenoh's rules have no templates, so each node gets rules of its own, selected by
 the common name of its certificate. Everything else is denied. Generate the
-rules again after each `albireo cert node` and `albireo cert revoke`, and
-restart the router (`sudo systemctl restart albireo-router`): its sessions
-reconnect by themselves.
+rules again, with the same options, after each `albireo cert node` and
+`albireo cert revoke`, and restart the router (`sudo systemctl restart
+albireo-router`): its sessions reconnect by themselves.
 
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json

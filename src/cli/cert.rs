@@ -1,10 +1,11 @@
 //! `albireo cert`: manages the certificates of a fleet.
 
+use super::terminal::program;
 use albireo_router::authority::{Authority, DAY, Issued, Role};
 use albireo_service::clock::unix_milliseconds;
 use anyhow::bail;
 use clap::Subcommand;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `albireo cert`.
 #[derive(Debug, clap::Args)]
@@ -146,14 +147,7 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
         }
         CertCommand::Revoke { role, name } => {
             let revoked = place.open()?.revoke(*role, name)?;
-            println!(
-                "`{}` is revoked once the router has new rules: run\n\
-                 `albireo acl --folder {} --output access.json` with its other options,\n\
-                 copy access.json to /etc/albireo on the router's machine, and run there\n\
-                 `sudo systemctl restart albireo-router`",
-                revoked.common_name(),
-                place.folder.display()
-            );
+            println!("{}", after_revoking(&revoked.common_name(), &place.folder));
         }
         CertCommand::List { json } => {
             let authority = place.open()?;
@@ -165,6 +159,20 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// What remains to be done after `common_name` was revoked. Rules that are made with other options than before lock out
+/// more than this one: the authority knows neither the prefix nor whether hubs may have pictures.
+fn after_revoking(common_name: &str, folder: &Path) -> String {
+    format!(
+        "`{common_name}` is revoked once the router has new rules: run, with the --prefix and\n\
+         --pictures that its present rules were made with,\n\
+         `{} acl --folder {} --output access.json`,\n\
+         copy access.json to /etc/albireo on the router's machine, and run there\n\
+         `sudo systemctl restart albireo-router`",
+        program(),
+        folder.display()
+    )
 }
 
 /// Returns role and name of each certificate that is not revoked and ends within so many days, or has ended already.
@@ -208,5 +216,23 @@ fn list(authority: &Authority) {
             format!("ends in {} days", left_s / 86_400)
         };
         println!("{:<40} {state}", entry.common_name());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::acl::AclArguments;
+    use super::*;
+    use clap::Args;
+
+    #[test]
+    fn every_option_that_rules_are_made_with_is_named_after_a_revocation() {
+        let said = after_revoking("node/car-7/1", Path::new("fleet-north"));
+        let acl = AclArguments::augment_args(clap::Command::new("acl"));
+        assert!(acl.get_arguments().count() > 2);
+        for argument in acl.get_arguments() {
+            let option = format!("--{}", argument.get_long().unwrap());
+            assert!(said.contains(&option), "{option}: {said}");
+        }
     }
 }

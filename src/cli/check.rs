@@ -10,7 +10,10 @@ use albireo_service::config::{ConfigError, Finding, examine};
 use anyhow::bail;
 use std::path::PathBuf;
 #[cfg(feature = "hub")]
-use {albireo_hub::config::HubConfig, albireo_service::config::load};
+use {
+    albireo_hub::config::HubConfig, albireo_hub::store::check_here,
+    albireo_service::config::Findings,
+};
 
 /// Arguments of `albireo check`.
 #[derive(Debug, clap::Args)]
@@ -19,8 +22,8 @@ A file with the section [hub] or [database] configures a hub, any other a node.
 The command checks every key and value, including those from environment
 variables (ALBIREO_SECTION__KEY). For a node it also checks what the node needs
 on this machine: models, class names, token, certificates, ONNX Runtime and its
-providers, the state directory. A port in use is a note, not an error, because
-the node may be running.
+providers, the state directory; for a hub the tokens and the SQLite file. A port
+in use is a note, not an error, because the node may be running.
 
 The exit code is 0 if the configuration can be used (and everything tried
 works), else 1.
@@ -117,10 +120,26 @@ fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
     if arguments.online {
         bail!("--online tries what a node's file names; this is a hub's file");
     }
-    let config: HubConfig = load(Some(&arguments.file))?;
+    let (config, mut findings) = examine::<HubConfig>(Some(&arguments.file));
+    if let Some(config) = &config
+        && !arguments.file_only
+    {
+        let mut here = Findings(config.here());
+        here.check("database.url", check_here(&config.database));
+        let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
+        for finding in here.0 {
+            if !known.contains(&finding.key) {
+                findings.push(finding);
+            }
+        }
+    }
+    let file = arguments.file.display().to_string();
+    let config = match config {
+        Some(config) if findings.is_empty() => config,
+        _ => return Err(ConfigError { file, findings }.into()),
+    };
     print(&format!(
-        "{} can be used: a hub for the nodes under `{}`, with the database {}",
-        arguments.file.display(),
+        "{file} can be used: a hub for the nodes under `{}`, with the database {}",
         config.hub.prefix,
         config.database.shown()
     ));

@@ -130,8 +130,8 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         .await
         .context("reading the clip")?
         .context("--clip")?;
-    if let Some(warning) = loaded.warning() {
-        eprintln!("{warning}");
+    for said in loaded.warning().iter().chain(&loaded.remarks) {
+        eprintln!("{said}");
     }
     if loaded.is_cut {
         eprintln!(
@@ -287,6 +287,7 @@ fn own_truth(
             part.name(),
             picture,
             pictures,
+            part.file_names(),
             is_alone,
             &mut LoadReport::default(),
         )?;

@@ -58,7 +58,12 @@ pub(super) struct DemoArguments {
     #[arg(long)]
     u: Option<f64>,
     /// The detector, an ONNX file
-    #[arg(long, value_name = "FILE", default_value = "models/yolox_nano.onnx")]
+    #[arg(
+        long,
+        alias = "model",
+        value_name = "FILE",
+        default_value = "models/yolox_nano.onnx"
+    )]
     detector: PathBuf,
     /// Port of the HTTP interface; if it is in use, another free one
     #[arg(long, default_value_t = 8080)]
@@ -95,6 +100,10 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     labels.insert("page".to_owned(), format!("http://{page}/"));
     labels.insert("hub".to_owned(), format!("http://{hub_page}/"));
     let prepared = PreparedNode::new(&config)?;
+    println!(
+        "loading {}: seconds on a PC, up to a minute on a board",
+        config.detector.model.display()
+    );
     let show = Show::new(prepared.board(), shutdown.clone());
     // Printed once the node works: before, an error may be all there is to say.
     let banner = show.banner(&config, page, hub_page, &moved);

@@ -177,5 +177,8 @@ pub(super) async fn run(arguments: FleetArguments) -> anyhow::Result<i32> {
         FleetCommand::Energy(arguments) => nodes::energy(&context, arguments).await,
         FleetCommand::Watch { looks } => nodes::watch(&context, looks).await,
     };
-    Ok(ended? as i32)
+    match ended {
+        Ok(ended) => Ok(ended as i32),
+        Err(error) => Err(context.client.explained(error).await),
+    }
 }

@@ -12,8 +12,8 @@ use session::DEFAULT_ENDPOINT;
 pub(crate) use session::close;
 pub use session::open_session;
 
+use albireo_service::config::{EndpointUse, check_endpoint};
 use albireo_wire::NodeKeys;
-use zenoh::config::EndPoint;
 
 /// Heading of the options that say where frames go.
 const WHERE: &str = "Where to";
@@ -35,19 +35,21 @@ pub struct FrameTarget {
     pub key: Option<String>,
 
     /// Zenoh endpoint to connect to; may be repeated [default: tcp/127.0.0.1:7447]
-    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT", value_parser = endpoint)]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT", value_parser = to_connect)]
     pub connect: Vec<String>,
     /// Zenoh endpoint to listen on; may be repeated
-    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT", value_parser = endpoint)]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT", value_parser = to_listen)]
     pub listen: Vec<String>,
 }
 
 /// Reads an endpoint: a sender goes on trying to reach one that is not there, and would for ever with one that cannot be.
-fn endpoint(text: &str) -> Result<String, String> {
-    match text.parse::<EndPoint>() {
-        Ok(_) => Ok(text.to_owned()),
-        Err(_) => Err("it is not an endpoint such as tcp/192.168.1.20:7447".to_owned()),
-    }
+fn to_connect(text: &str) -> Result<String, String> {
+    check_endpoint(text, EndpointUse::Connect).map(|()| text.to_owned())
+}
+
+/// Reads an endpoint to listen on.
+fn to_listen(text: &str) -> Result<String, String> {
+    check_endpoint(text, EndpointUse::Listen).map(|()| text.to_owned())
 }
 
 impl FrameTarget {

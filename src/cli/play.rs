@@ -15,6 +15,7 @@ use albireo_eval::data::classes::Evaluated;
 use albireo_eval::data::{Clip, GroundTruth, LoadReport};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
+use albireo_eval::statistics::mean;
 use albireo_node::PreparedNode;
 use albireo_node::camera::AnswerTime;
 use albireo_node::camera::clip::LONGEST_REPORT_S;
@@ -114,13 +115,14 @@ impl Played {
     }
 
     /// The mean time of a frame until its answer, milliseconds. Without a rate the next frame is sent while the node
-    /// works on the one before: its wait there says nothing about the node, and is left out.
-    pub(super) fn frame_ms(&self, rate: Option<f64>) -> f64 {
+    /// works on the one before: its wait there says nothing about the node, and is left out. `None` if no frame was
+    /// answered.
+    pub(super) fn frame_ms(&self, rate: Option<f64>) -> Option<f64> {
         let times = self.answers.iter().map(|answer| match rate {
             Some(_) => answer.latency_ms.total,
             None => answer.latency_ms.total - answer.latency_ms.waiting,
         });
-        times.sum::<f64>() / self.answers.len().max(1) as f64
+        mean(times)
     }
 
     /// The answers to the clip's frames.
@@ -445,7 +447,8 @@ pub(super) fn check_pace(frames: u64, rate: f64, way_out: &str) -> anyhow::Resul
     Ok(())
 }
 
-/// A clip without detections, with its whole ground truth; `is_alone` and `report` as for [`GroundTruth::attach_to`].
+/// A clip without detections, with its whole ground truth; `file_names` as of a [`FrameSource`], `is_alone` and `report` as
+/// for [`GroundTruth::attach_to`].
 ///
 /// # Errors
 /// When the ground truth is for other pictures.
@@ -454,11 +457,13 @@ pub(super) fn with_truth(
     name: &str,
     size: PictureSize,
     frames: u64,
+    file_names: Vec<String>,
     is_alone: bool,
     report: &mut LoadReport,
 ) -> anyhow::Result<Clip> {
     let frames = usize::try_from(frames)?;
     let mut clip = Clip::new(name.to_owned(), size, frames);
+    clip.file_names = file_names;
     truth.attach_to(&mut clip, is_alone, Some(frames), report)?;
     Ok(clip)
 }
@@ -541,6 +546,24 @@ mod tests {
     use albireo_eval::spec::Base;
     use albireo_wire::Target;
 
+    fn played(answers: Vec<Arc<DetectionsMessage>>) -> Played {
+        Played {
+            report: ClipReport::default(),
+            cpu: Duration::ZERO,
+            memory_mb: None,
+            traces: Traces::new(),
+            meter_share_of_core: 0.0,
+            answers,
+        }
+    }
+
+    #[test]
+    fn a_run_without_an_answer_has_no_mean_time_of_a_frame() {
+        let unanswered = played(Vec::new());
+        assert_eq!(unanswered.frame_ms(None), None);
+        assert_eq!(unanswered.frame_ms(Some(30.0)), None);
+    }
+
     #[test]
     fn an_unpaced_frame_takes_no_longer_for_waiting_behind_the_one_before() {
         let answer = |total: f64, waiting: f64| {
@@ -550,16 +573,9 @@ mod tests {
             );
             Arc::new(serde_json::from_str(&text).unwrap())
         };
-        let played = Played {
-            report: ClipReport::default(),
-            cpu: Duration::ZERO,
-            memory_mb: None,
-            traces: Traces::new(),
-            meter_share_of_core: 0.0,
-            answers: vec![answer(31.0, 16.0), answer(30.0, 15.0)],
-        };
-        assert_eq!(played.frame_ms(None), 15.0);
-        assert_eq!(played.frame_ms(Some(30.0)), 30.5);
+        let played = played(vec![answer(31.0, 16.0), answer(30.0, 15.0)]);
+        assert_eq!(played.frame_ms(None), Some(15.0));
+        assert_eq!(played.frame_ms(Some(30.0)), Some(30.5));
     }
 
     #[test]

@@ -117,6 +117,9 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let published = ended?;
     let sent = Sent { lost, ..published };
     println!("{}", summary(&sent, &key));
+    if sent.frames == 0 && (sent.left_out > 0 || !sent.remarks.is_empty()) {
+        bail!("{}: no picture in it can be sent", arguments.source);
+    }
     if sent.frames > 0 && *receivers.borrow() == Receivers::NeverSeen {
         bail!("no node subscribed to `{key}`: {NOBODY}");
     }
@@ -245,6 +248,9 @@ fn summary(sent: &Sent, key: &str) -> String {
     if sent.left_out > 0 {
         line += &format!("; files that were left out: {}", sent.left_out);
     }
+    for remark in &sent.remarks {
+        line += &format!("; {remark}");
+    }
     if sent.refused > 0 {
         let first = sent.first_refusal.as_deref().unwrap_or_default();
         line += &format!(
@@ -303,13 +309,15 @@ mod tests {
             behind: 1,
             lost: 4,
             left_out: 2,
+            remarks: vec!["a.mp4: 14 of 30 frames could be read".to_owned()],
             refused: 1,
             first_refusal: Some("cut off".to_owned()),
             elapsed: Duration::from_secs(10),
         };
         let expected = "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; \
                         frames that went out late: 1; frames that no node subscribed to: 4; \
-                        files that were left out: 2; frames that the node refused: 1 (first: cut off)";
+                        files that were left out: 2; a.mp4: 14 of 30 frames could be read; \
+                        frames that the node refused: 1 (first: cut off)";
         assert_eq!(summary(&sent, "a/b"), expected);
     }
 }

@@ -29,6 +29,9 @@ pub(super) struct RouterArguments {
     /// Only check the files. The exit code is 0 if they can be used, and 1 if not.
     #[arg(long)]
     check: bool,
+    /// Check only what the configuration says, not the files that it names: for one that is meant for another machine.
+    #[arg(long, requires = "check")]
+    file_only: bool,
 }
 
 pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
@@ -42,13 +45,16 @@ pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
     let level = arguments.log_level;
     let log = LogConfig { format, level };
     let mut findings = Findings::default();
-    http.check(&[], &mut findings);
+    options.check(&mut findings);
     log.check(&mut findings);
     if let Some(finding) = findings.0.first() {
         bail!("{finding}");
     }
     if arguments.check {
-        options.zenoh()?;
+        let config = options.zenoh()?;
+        if !arguments.file_only {
+            options.look_here(&config)?;
+        }
         println!("the files can be used");
         for finding in options.exposed_here() {
             println!("note: {finding}");

@@ -64,6 +64,31 @@ async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_not
 }
 
 #[tokio::test]
+async fn a_query_on_a_route_that_reads_none_is_refused_and_changes_nothing() {
+    let node = Served::start().await;
+    for (path, body) in [
+        ("/api/v1/threshold?camera=front", r#"{"u": 5e-4}"#),
+        ("/api/v1/cameras/front/threshold?u=1e-3", r#"{"u": 5e-4}"#),
+        ("/api/v1/policy?name=vanilla", r#"{"name": "vanilla"}"#),
+    ] {
+        let refused = problem(node.put(path, body).await, 400).await;
+        assert_contains(&refused["detail"], &["takes no query", "in the body"]);
+    }
+    for camera in &node.board.cameras {
+        assert_eq!(camera.threshold(), Some(THRESHOLD.default));
+    }
+    let routes = "/api/v1/power?minutes=x /api/v1?x /api/v1/cameras/front?x=1 /healthz?x=1";
+    for path in routes.split(' ') {
+        node.refused(path, 400).await;
+    }
+    let refused = node.refused("/api/v1/threshold?camera=front", 400).await;
+    let way_out = "/api/v1/cameras/{camera}/threshold";
+    assert_contains(&refused["detail"], &[way_out]);
+    // An empty query says nothing.
+    node.json("/api/v1/threshold?").await;
+}
+
+#[tokio::test]
 async fn only_json_of_limited_size_and_what_plain_curl_sends_is_accepted() {
     let node = Served::start().await;
     for (media, is_accepted) in [

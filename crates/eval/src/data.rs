@@ -79,6 +79,9 @@ pub struct Clip {
     pub truth: Option<Vec<Vec<ScoredBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
+    /// The file names of all pictures of its source, also of those that are none of its frames; in labels, that of each
+    /// frame's picture, empty if they do not list the frame. Without entries if nobody knows them.
+    pub file_names: Vec<String>,
     /// What the ground truth marks as not to be judged, one list per frame; empty if it marks nothing.
     pub ignored: Vec<Vec<Ignored>>,
     /// Grey pictures and step times, if a detector ran on the pictures in this run.
@@ -104,6 +107,7 @@ impl Clip {
             screen: None,
             truth: None,
             pictures: Vec::new(),
+            file_names: Vec::new(),
             ignored: Vec::new(),
             pass: None,
             classes: Evaluated::Road,
@@ -133,6 +137,11 @@ impl Clip {
     /// The number of frames that nobody labelled.
     pub fn unlabelled(&self) -> usize {
         unlabelled(&self.ignored)
+    }
+
+    /// The number of boxes of its ground truth.
+    pub fn truth_boxes(&self) -> usize {
+        self.truth.iter().flatten().map(Vec::len).sum()
     }
 
     /// Marks a place on a frame as not to be judged.
@@ -168,6 +177,8 @@ pub struct DataSet {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeftOut {
+    /// The label has no box: it is a polygon, a line, or one of the whole picture.
+    NoBox,
     /// A coordinate or score is NaN or infinite.
     NotFinite,
     /// The box has no area: right edge not right of the left one, or bottom not below top.
@@ -190,6 +201,7 @@ impl LeftOut {
     /// The reason as text.
     pub const fn as_str(self) -> &'static str {
         match self {
+            Self::NoBox => "label without `box2d`",
             Self::NotFinite => "coordinate or score not a finite number",
             Self::EmptyBox => "box inverted or without area",
             Self::OutsidePicture => "box wholly outside the picture",
@@ -286,6 +298,19 @@ impl LoadReport {
             confidence,
             object: labelled.object,
         })
+    }
+
+    /// Makes sure that there are `boxes` of ground truth to judge by.
+    ///
+    /// # Errors
+    /// [`EvalError`] when there are none, with what was left out.
+    pub fn check_boxes(&self, boxes: usize) -> Result<(), EvalError> {
+        if boxes > 0 {
+            return Ok(());
+        }
+        let mut said = vec!["the ground truth has no box to judge by".to_owned()];
+        said.extend(self.lines());
+        Err(EvalError::new(said.join("; ")))
     }
 
     /// The report as text, one line per entry; empty if there is nothing to report.

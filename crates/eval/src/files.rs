@@ -5,9 +5,24 @@ use serde::Serialize;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Reads the text of a file; `help` says what to do if it is missing.
+/// The first bytes of a file that gzip has compressed.
+const GZIP: [u8; 2] = [0x1f, 0x8b];
+
+/// Reads the text of a file, without the mark of the byte order with which some editors begin it; `help` says what to do
+/// if it is missing.
 pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
-    std::fs::read_to_string(path).map_err(|error| EvalError::read(path, error, help))
+    let mut bytes = std::fs::read(path).map_err(|error| EvalError::read(path, error, help))?;
+    if bytes.starts_with(&GZIP) {
+        return Err(EvalError::content(
+            path,
+            "it is compressed: gunzip it first",
+        ));
+    }
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        bytes.drain(.."\u{feff}".len());
+    }
+    String::from_utf8(bytes)
+        .map_err(|error| EvalError::content(path, format!("it is not text in UTF-8: {error}")))
 }
 
 /// Lists the paths in a folder for which `wanted` is true, sorted; what cannot be listed is left out.

@@ -67,8 +67,10 @@ fn in_parallel<'a>(
             "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
         ))
     };
+    // More threads than steps would only search for work, each with all others.
+    let threads = settings.threads.min(steps.len());
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(settings.threads)
+        .num_threads(threads)
         .build()
         .map_err(no_threads)?;
     let take = |step: &Step| -> Result<(Step, ClipResult), EvalError> {

@@ -114,8 +114,94 @@ fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
             footage.push(name.parse::<SourceName>().map_err(anyhow::Error::msg)?);
         }
     }
-    if !footage.is_empty() {
+    if footage.is_empty() {
+        let mut given = arguments.pass.given();
+        if arguments.rate.is_some() {
+            given.push("--rate");
+        }
+        ensure!(
+            given.is_empty(),
+            "{}: of no effect on recorded detections: leave it out, or name the videos or pictures themselves",
+            given.join(", ")
+        );
+    } else {
         clips.extend(detect_all(&footage, arguments.rate, &arguments.pass)?);
     }
+    check_doubles(&clips)?;
     Ok(clips)
+}
+
+/// Refuses a clip that is there twice, such as a video and its recorded detections: the intervals would be too narrow.
+/// Clips of one name from several days have other detections.
+fn check_doubles(clips: &[Clip]) -> anyhow::Result<()> {
+    for (number, clip) in clips.iter().enumerate() {
+        let is_same = |other: &Clip| other.name == clip.name && other.detections == clip.detections;
+        ensure!(
+            !clips[..number].iter().any(is_same),
+            "the clip `{}` is there twice, with the same detections: name each recording once",
+            clip.name
+        );
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::geometry::PictureSize;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        advise: AdviseArguments,
+    }
+
+    /// Why recordings cannot be read with these arguments; empty if they can.
+    fn refused(words: &[&str]) -> String {
+        let command = Command::parse_from([&["advise"][..], words].concat());
+        match read(&command.advise) {
+            Ok(_) => String::new(),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    /// Writes the recorded detections of an empty clip.
+    fn recording() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let clip = Clip {
+            detections: Some(vec![Vec::new(); 3]),
+            ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 3)
+        };
+        recorded::write(folder.path(), &[clip]).unwrap();
+        folder
+    }
+
+    #[test]
+    fn an_option_of_the_detector_is_refused_where_no_detector_runs() {
+        let folder = recording();
+        let path = folder.path().to_str().unwrap();
+        assert_eq!(refused(&[path, "--confidence", "0.4"]), "");
+        for (option, value) in [
+            ("--frames", "20"),
+            ("--rate", "5"),
+            ("--detector", "nothere.onnx"),
+            ("--head", "yolo"),
+            ("--provider", "cuda"),
+            ("--screen-model", "nothere.onnx"),
+            ("--class-names", "nothere.txt"),
+            ("--save-detections", "nothere"),
+        ] {
+            let said = refused(&[path, option, value]);
+            assert!(said.starts_with(option), "{option}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_recording_that_is_named_twice_does_not_count_twice() {
+        let folder = recording();
+        let path = folder.path().to_str().unwrap();
+        let said = refused(&[path, path]);
+        assert!(said.contains("`a` is there twice"), "{said}");
+    }
 }

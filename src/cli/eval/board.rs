@@ -45,9 +45,9 @@ Each run starts a node as `albireo node` does and plays one whole clip to it
 under one policy; the meter of the node measures it. A clip may have 1 GiB of
 encoded pictures, and a run may take an hour: split a longer one. On every
 second clip the policies run in reverse order. Each run is on disk when it is
-done: stopped, by Ctrl-C or a power cut, the same command goes on with the runs
-that are missing. It refuses if a setting that changes results is another one
-than before, and names it.
+done: stopped, by Ctrl-C or a power cut, the same command without --restart goes
+on with the runs that are missing. It refuses if a setting that changes results
+is another one than before, and names it.
 
 There is a file for each detector, precision, power mode and machine. `albireo
 eval join` makes tables of one or several.
@@ -96,7 +96,7 @@ pub(super) struct BoardArguments {
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
     /// The detector, an ONNX file [default: the configuration's]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, alias = "model", value_name = "FILE")]
     detector: Option<PathBuf>,
     /// The detector's precision, for the tables [default: fp16 for TensorRT with detector.gpu.fp16, else as exported]
     #[arg(long, value_name = "NAME")]
@@ -110,7 +110,8 @@ pub(super) struct BoardArguments {
     /// Write the file of runs here
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Measure all again, for instance with other settings; the runs before are kept in a file beside, FILE.before
+    /// Measure all again, for instance with other settings; the runs before are kept in a new file beside, FILE.before,
+    /// FILE.before-2 and so on
     #[arg(long)]
     restart: bool,
 }
@@ -137,6 +138,9 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let clips = measured_clips(arguments, &mut truth, alone)?;
     let setup = setup::describe(arguments, &config)?;
     let mut file = RunsFile::open(&arguments.out, &setup, arguments.restart)?;
+    if let Some(kept) = file.kept() {
+        eprintln!("The runs before are kept in {}", kept.display());
+    }
     for clip in &clips {
         if let Some(content) = &clip.content {
             file.check_clip(&clip.name, content)?;
@@ -180,10 +184,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         let played = measuring.play(clip, policy, &file, steps, tell, &shutdown).await;
         if shutdown.is_cancelled() {
             bar.finish_and_clear();
-            eprintln!(
-                "Stopped, with {} more. The same command goes on with the others.",
-                counted(number as u64, "run", "runs")
-            );
+            eprintln!("{}", stopped(number as u64, arguments.restart));
             return Ok(());
         }
         file.add(played.context(name)?)?;
@@ -195,6 +196,17 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let program = program();
     eprintln!("Every run is in {runs}; next: {program} eval join {runs} --out tables");
     Ok(())
+}
+
+/// Says how many runs were added before the stop, and how to go on: a restart would begin again.
+fn stopped(runs: u64, restart: bool) -> String {
+    let command = if restart {
+        "The same command without --restart"
+    } else {
+        "The same command"
+    };
+    let more = counted(runs, "run", "runs");
+    format!("Stopped, with {more} more. {command} goes on with the others.")
 }
 
 /// Reads the ground truth for the classes of the node's model, which is loaded for their names. If the ground truth has
@@ -299,6 +311,7 @@ fn measured_clips(
     let mut report = truth.take_report();
     let mut all = 0;
     let mut unlabelled = 0;
+    let mut boxes = 0;
     for source in sources {
         let is_video = matches!(source, SourceName::Video(_) | SourceName::VideoFiles(_));
         let opened = source.open_clips(arguments.rate, VideoEncoding::default())?;
@@ -321,10 +334,20 @@ fn measured_clips(
                 let Some(first) = footage.next()? else {
                     bail!("{name}: it has no pictures");
                 };
-                let judged = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
+                let files = footage.file_names();
+                let size = first.size;
+                let judged = with_truth(truth, &name, size, frames, files, alone, &mut report)?;
                 all += judged.frames;
                 unlabelled += judged.unlabelled();
+                boxes += judged.truth_boxes();
                 content = Some(content_of(&judged));
+            }
+            if let Some(frames) = frames
+                && is_video
+                && let Some(first) = footage.next()?
+                && let Some(doubt) = clip::doubt_of_size(&name, &first, frames)
+            {
+                eprintln!("{doubt}");
             }
             clips.push(MeasuredClip {
                 name,
@@ -335,6 +358,10 @@ fn measured_clips(
                 is_traced: clips.len() < TRACED_CLIPS,
             });
         }
+    }
+    // The labels of a video are held against it when it is read.
+    if clips.iter().all(|clip: &MeasuredClip| clip.content.is_some()) {
+        report.check_boxes(boxes)?;
     }
     for line in report.lines() {
         eprintln!("Ground truth: {line}");
@@ -507,10 +534,14 @@ impl Measuring<'_> {
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
         let rate = paced_rate(arguments, &self.truth, self.alone, &*source);
+        let files = source.file_names();
         let extent = Extent::Whole;
         let loaded = tokio::task::spawn_blocking(move || clip::load(source, extent))
             .await
             .context("reading the clip")??;
+        for remark in &loaded.remarks {
+            tell(remark);
+        }
         if let Some(warning) = loaded.warning() {
             tell(&warning);
             self.unusable.push((of.name.clone(), loaded.unusable.len()));
@@ -522,7 +553,15 @@ impl Measuring<'_> {
         }
         let mut report = LoadReport::default();
         let truth = &mut self.truth;
-        let clip = with_truth(truth, &of.name, size, frames, self.alone, &mut report)?;
+        let clip = with_truth(
+            truth,
+            &of.name,
+            size,
+            frames,
+            files,
+            self.alone,
+            &mut report,
+        )?;
         let unlabelled = clip.unlabelled();
         // Of clips that are no videos all this was said before the first run.
         if of.content.is_none() {
@@ -553,6 +592,15 @@ mod tests {
     use albireo_core::detection::ClassId;
     use albireo_core::geometry::{Corners, PictureSize};
     use albireo_eval::boxes::ScoredBox;
+
+    #[test]
+    fn a_stopped_restart_is_told_to_go_on_without_restarting() {
+        let restart = true;
+        let said = stopped(2, restart);
+        let way_on = "with 2 runs more. The same command without --restart goes on";
+        assert!(said.contains(way_on), "{said}");
+        assert!(!stopped(1, !restart).contains("--restart"));
+    }
 
     fn object(x: f64, number: u64) -> ScoredBox {
         ScoredBox {

@@ -7,8 +7,11 @@ use albireo_eval::judge::{Classes, Interpolation};
 use albireo_eval::settings::{ScreenRule, Settings};
 use anyhow::bail;
 use clap::Args;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use std::path::PathBuf;
+
+/// The most threads, as of a detector: with thousands they spend their time on each other.
+const MOST_THREADS: u64 = 1024;
 
 /// The settings of every comparison of policies.
 #[derive(Clone, Debug, Args)]
@@ -42,8 +45,8 @@ pub(super) struct SettingsArguments {
     /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
     #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
     pub traces: Option<PathBuf>,
-    /// The number of threads; 0 for as many as the machine has.
-    #[arg(long, default_value_t = 0)]
+    /// The number of threads, at most 1024; 0 for as many as the machine has.
+    #[arg(long, default_value_t = 0, value_parser = RangedU64ValueParser::<usize>::new().range(0..=MOST_THREADS))]
     pub threads: usize,
 }
 
@@ -123,6 +126,14 @@ mod tests {
     fn per_class_judges_every_class_by_itself() {
         let set = parsed(&["eval", "--per-class"]);
         assert_eq!(set.classes, Classes::Separate);
+    }
+
+    #[test]
+    fn more_threads_than_a_machine_can_use_are_refused_with_the_limit() {
+        assert_eq!(parsed(&["eval", "--threads", "1024"]).threads, 1024);
+        let refused = Command::try_parse_from(["eval", "--threads", "2000"]);
+        let said = refused.err().unwrap().to_string();
+        assert!(said.contains("0..=1024"), "{said}");
     }
 
     #[test]

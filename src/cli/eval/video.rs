@@ -23,7 +23,10 @@ use anyhow::{bail, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use std::collections::{BTreeSet, HashSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+/// The detector that the project brings.
+const DEFAULT_DETECTOR: &str = "models/yolox_nano.onnx";
 
 /// Time limit of a detector run, milliseconds. No camera waits for it, so the limit is high.
 const TIMEOUT_MS: u64 = 60_000;
@@ -58,7 +61,7 @@ pub(super) struct VideoArguments {
 #[derive(Debug, Args)]
 pub(super) struct PassArguments {
     /// The detector: an ONNX file.
-    #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/yolox_nano.onnx")]
+    #[arg(long, alias = "model", help_heading = LOOKED, value_name = "MODEL", default_value = DEFAULT_DETECTOR)]
     detector: PathBuf,
     /// How the detector's output is read: the name of a head, or `columns=x1 y1 x2 y2 score class`.
     #[arg(long, help_heading = LOOKED, default_value_t)]
@@ -79,12 +82,35 @@ pub(super) struct PassArguments {
     /// Number of the screen's output that means "empty".
     #[arg(long, help_heading = LOOKED, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
     screen_empty_class: u8,
-    /// Save detections, screen verdicts and ground truth here, clip by clip, in the layout of `albireo eval recorded`.
+    /// Save detections, screen verdicts and ground truth here, clip by clip, in the layout of `albireo eval recorded`; a
+    /// folder that has some already is refused.
     #[arg(long, help_heading = LOOKED, value_name = "DIR")]
     save_detections: Option<PathBuf>,
     /// Process at most this many frames of each clip.
     #[arg(long, help_heading = LOOKED, value_name = "COUNT", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     frames: Option<usize>,
+}
+
+impl PassArguments {
+    /// The options that were given another value than their default: without a pass they have no effect.
+    pub(super) fn given(&self) -> Vec<&'static str> {
+        let options = [
+            ("--detector", self.detector != Path::new(DEFAULT_DETECTOR)),
+            ("--head", self.head != HeadSetting::default()),
+            ("--class-names", self.class_names.is_some()),
+            ("--provider", self.provider != ExecutionProvider::Cpu),
+            ("--screen-model", self.screen_model.is_some()),
+            ("--save-detections", self.save_detections.is_some()),
+            ("--frames", self.frames.is_some()),
+        ];
+        let mut given = Vec::new();
+        for (option, is_given) in options {
+            if is_given {
+                given.push(option);
+            }
+        }
+        given
+    }
 }
 
 /// Runs `albireo eval video`. Clips are processed one after the other, and dropped when every policy is done.
@@ -243,23 +269,32 @@ impl Evaluation<'_> {
                 SourceName::Pictures(_) | SourceName::Archive(_) | SourceName::Demo
             )
         };
+        let mut left_out = LoadReport::default();
+        let mut boxes = 0;
+        let mut are_all_known = self.video.clips.iter().all(|clips| are_pictures(&clips));
         for clips in self.video.clips.iter().filter(are_pictures) {
             for mut source in clips.open_clips(self.arguments.rate, self.video.encoding)? {
                 let known = source.frames().and_then(|frames| usize::try_from(frames).ok());
                 let Some(whole) = known else {
+                    are_all_known = false;
                     continue;
                 };
                 // A picture that cannot be used is reported in the pass.
                 let Ok(Some(first)) = source.next() else {
+                    are_all_known = false;
                     continue;
                 };
                 let most = self.pass_settings.max_frames.unwrap_or(whole);
                 let mut clip = Clip::new(source.name().to_owned(), first.size, whole.min(most));
+                clip.file_names = source.file_names();
                 let is_alone = self.names.len() == 1;
                 // The pass gives each clip its truth once more, and reports what is left out.
-                let mut unread = LoadReport::default();
-                truth.attach_to(&mut clip, is_alone, Some(whole), &mut unread)?;
+                truth.attach_to(&mut clip, is_alone, Some(whole), &mut left_out)?;
+                boxes += clip.truth_boxes();
             }
+        }
+        if are_all_known {
+            left_out.check_boxes(boxes)?;
         }
         Ok(())
     }
@@ -445,8 +480,11 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
     rows
 }
 
-/// Loads the models of the pass.
+/// Loads the models of the pass, if there is a place for what is kept of it.
 fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
+    if let Some(folder) = &pass.save_detections {
+        recorded::check_unused(folder)?;
+    }
     let detector = DetectorConfig {
         model: pass.detector.clone(),
         head: pass.head.clone(),
@@ -537,28 +575,82 @@ pub(super) fn detect_all(
     Ok(detected_clips)
 }
 
-/// Prints how many frames the screen or the pause called empty, and how many of these wrongly, in a line per policy under
-/// which there are any. The results are in the order of the policies.
+/// Prints how many frames the screen or the pause called empty, in a line per policy under which there are any. The
+/// results are in the order of the policies.
 fn print_screens(results: &[ClipResult]) {
     for clips in results.chunk_by(|a, b| a.policy == b.policy) {
-        let mut empty = 0;
-        let mut frames = 0;
-        let mut occupied = 0;
-        let mut missed = 0;
-        for clip in clips {
-            empty += clip.states.e;
-            frames += clip.frames;
-            occupied += clip.occupied_frames;
-            missed += clip.false_empty_frames;
+        if let Some(line) = called_empty(clips) {
+            terminal::print(&line);
         }
-        if empty == 0 {
-            continue;
-        }
-        let share = 100.0 * missed as f64 / occupied.max(1) as f64;
-        terminal::print(&format!(
-            "Screen under {}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
-             ({missed} of the {occupied} frames in which the detector finds something)",
-            clips[0].policy
-        ));
+    }
+}
+
+/// Says how many frames of a policy's clips were called empty, and how many of these wrongly; `None` if none was.
+fn called_empty(clips: &[ClipResult]) -> Option<String> {
+    let policy = &clips.first()?.policy;
+    let mut empty = 0;
+    let mut frames = 0;
+    let mut occupied = 0;
+    let mut missed = 0;
+    for clip in clips {
+        empty += clip.states.e;
+        frames += clip.frames;
+        occupied += clip.occupied_frames;
+        missed += clip.false_empty_frames;
+    }
+    if empty == 0 {
+        return None;
+    }
+    let wrongly = if occupied == 0 {
+        "none wrongly: the detector finds nothing in any frame".to_owned()
+    } else {
+        let share = 100.0 * missed as f64 / occupied as f64;
+        format!(
+            "false-empty rate {share:.1} % ({missed} of the {occupied} frames in which the detector finds something)"
+        )
+    };
+    Some(format!(
+        "Screen under {policy}: {empty} of {frames} frames called empty; {wrongly}"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use std::slice::from_ref;
+
+    #[derive(Parser)]
+    struct PassCommand {
+        #[command(flatten)]
+        pass: PassArguments,
+    }
+
+    #[test]
+    fn a_pass_never_replaces_the_detections_of_an_earlier_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let saved = folder.path().to_str().unwrap();
+        std::fs::write(folder.path().join("sequences.json"), "{}").unwrap();
+        let words = ["", "--detector", "nothere.onnx", "--save-detections", saved];
+        let pass = PassCommand::parse_from(words).pass;
+        // It is refused before the models are loaded, of which there are none.
+        let refused = start_models(&pass).err().unwrap().to_string();
+        assert!(refused.contains("another folder"), "{refused}");
+    }
+
+    #[test]
+    fn without_a_frame_that_has_something_in_it_there_is_no_rate_of_wrongly_empty_frames() {
+        let mut clip = ClipResult::default();
+        assert_eq!(called_empty(from_ref(&clip)), None);
+        clip.frames = 10;
+        clip.states.e = 4;
+        let said = called_empty(from_ref(&clip)).unwrap();
+        let nothing = "the detector finds nothing in any frame";
+        assert!(said.ends_with(nothing), "{said}");
+        clip.occupied_frames = 5;
+        clip.false_empty_frames = 1;
+        let said = called_empty(from_ref(&clip)).unwrap();
+        let rate = "false-empty rate 20.0 % (1 of the 5 frames";
+        assert!(said.contains(rate), "{said}");
     }
 }

@@ -1,6 +1,6 @@
 //! Talks to a hub or a node over HTTP.
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reqwest::header::ACCEPT;
 use reqwest::{Method, RequestBuilder, Response, Url};
 use serde::Serialize;
@@ -10,6 +10,9 @@ use std::time::Duration;
 
 /// Time limit of a plain answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+
+/// Time limit of the question what is at the address, after an error.
+const DESCRIBED_WITHIN: Duration = Duration::from_secs(2);
 
 /// A hub, or a node.
 pub(in crate::cli) struct Client {
@@ -33,6 +36,18 @@ impl Client {
             .ok()
             .filter(is_http)
             .with_context(|| format!("`{hub}` is not an address such as http://127.0.0.1:8090"))?;
+        if base.scheme() == "https" {
+            bail!(
+                "`{hub}`: hubs and nodes serve HTTP without TLS, and so does this command: write http://, with \
+                 `ssh -L 8090:127.0.0.1:8090 HOST` where others can listen"
+            );
+        }
+        // A file with a token may end with a line break, also with that of Windows.
+        let token = token.map(|token| token.trim().to_owned()).filter(|token| !token.is_empty());
+        let is_graphic = |token: &str| token.bytes().all(|byte| byte.is_ascii_graphic());
+        if token.as_deref().is_some_and(|token| !is_graphic(token)) {
+            bail!("the token cannot be right: a token is printable ASCII without spaces");
+        }
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             // An answer must come from the hub itself, so redirects are not followed.
@@ -44,6 +59,27 @@ impl Client {
             token,
             http,
         })
+    }
+
+    /// The error of a command to a hub; if the address is a node's, that is the error.
+    pub(super) async fn explained(&self, error: anyhow::Error) -> anyhow::Error {
+        if self.is_node().await {
+            let base = &self.base;
+            return anyhow!("{base} is a node, not a hub: name a hub by --hub or ALBIREO_HUB");
+        }
+        error
+    }
+
+    /// True if a node describes itself at the address, which needs no token.
+    async fn is_node(&self) -> bool {
+        let Ok(request) = self.request(Method::GET, "/openapi.json", &[]) else {
+            return false;
+        };
+        let Ok(response) = request.timeout(DESCRIBED_WITHIN).send().await else {
+            return false;
+        };
+        let described: Value = response.json().await.unwrap_or_default();
+        described["info"]["title"] == "albireo node"
     }
 
     fn request(
@@ -168,8 +204,51 @@ mod tests {
             let expected = format!("`{address}` is not an address such as http://127.0.0.1:8090");
             assert_eq!(refused, expected);
         }
-        for address in ["http://localhost:8090", "https://hub.example/fleet/"] {
+        for address in ["http://localhost:8090", "http://hub.example/fleet/"] {
             assert!(Client::new(address, None, "").is_ok(), "{address}");
+        }
+    }
+
+    #[test]
+    fn an_address_with_tls_is_refused_with_what_to_write() {
+        let refused = Client::new("https://hub.example", None, "").err().unwrap().to_string();
+        assert!(refused.contains("write http://"), "{refused}");
+    }
+
+    #[test]
+    fn a_token_is_used_without_its_line_break_and_one_that_cannot_be_right_is_refused() {
+        let with_token = |token: &str| Client::new("http://hub", Some(token.to_owned()), "");
+        let token = with_token("0123456789abcdef\r\n").unwrap().token;
+        assert_eq!(token.as_deref(), Some("0123456789abcdef"));
+        assert_eq!(with_token(" \r\n").unwrap().token, None);
+        for wrong in ["two words", "a\rb", "schl\u{fc}ssel"] {
+            let refused = with_token(wrong).err().unwrap().to_string();
+            assert!(refused.contains("printable ASCII"), "{refused}");
+            assert!(!refused.contains(wrong), "{refused}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_node_at_the_address_of_the_hub_is_called_a_node() {
+        use std::io::{Read, Write};
+        for (title, is_node) in [("albireo node", true), ("albireo hub", false)] {
+            let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+            let address = format!("http://{}", listener.local_addr().unwrap());
+            let serving = std::thread::spawn(move || {
+                let (mut stream, _) = listener.accept().unwrap();
+                let _ = stream.read(&mut [0; 4096]).unwrap();
+                let body = format!("{{\"info\": {{\"title\": \"{title}\"}}}}");
+                let length = body.len();
+                write!(
+                    stream,
+                    "HTTP/1.1 200 OK\r\nContent-Length: {length}\r\n\r\n{body}"
+                )
+                .unwrap();
+            });
+            let client = Client::new(&address, None, "").unwrap();
+            let said = client.explained(anyhow!("404")).await.to_string();
+            assert_eq!(said.contains("is a node, not a hub"), is_node, "{said}");
+            serving.join().unwrap();
         }
     }
 }

@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn a_name_that_no_node_can_have_is_no_path() {
         assert_eq!(path_of("cam-7").unwrap(), "/api/v1/nodes/cam-7");
-        for name in ["cam-7?old", "cam-7#old", "../cam-7", ""] {
+        for name in ["cam-7?old", "cam-7#old", "../cam-7", "..", "all", ""] {
             let refused = path_of(name).unwrap_err().to_string();
             assert!(refused.contains("node name"), "{refused}");
         }

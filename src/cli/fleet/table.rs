@@ -2,8 +2,11 @@
 
 use crate::cli::terminal::width;
 
+/// Most characters of a cell that is not the last of its row: a long name leaves room for the other columns.
+const LONGEST_CELL: usize = 40;
+
 /// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as
-/// wide as its widest cell. A line that is too long is cut, because rows that wrap cannot be read.
+/// wide as its widest cell, up to [`LONGEST_CELL`]. A line that is too long is cut, because rows that wrap cannot be read.
 pub(super) fn table<const N: usize>(
     headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
@@ -12,7 +15,12 @@ pub(super) fn table<const N: usize>(
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
     for row in rows {
-        lines.push(Vec::from(row.map(|cell| printable(&cell))));
+        let mut cells = row.map(|cell| printable(&cell));
+        // The end of the line cuts the last one.
+        for cell in cells.iter_mut().rev().skip(1) {
+            *cell = cut(cell, LONGEST_CELL);
+        }
+        lines.push(Vec::from(cells));
     }
     let mut widths = vec![0; headings.len()];
     for line in &lines {
@@ -68,6 +76,18 @@ mod tests {
         let rows = [row("cam-1", "5e-4", "x"), row("bus-100", "0.01", "y")];
         let expected = "node        u  why\ncam-1    5e-4  x\nbus-100  0.01  y\n";
         assert_eq!(table("node|>u|why", rows), expected);
+    }
+
+    #[test]
+    fn a_long_name_leaves_room_for_the_other_columns_of_every_row() {
+        let rows = [
+            row(&"n".repeat(300), "5e-4", "x"),
+            row("cam-1", "0.01", "y"),
+        ];
+        let text = table("node|>u|why", rows);
+        for expected in ["n…  5e-4  x\n", "  0.01  y\n"] {
+            assert!(text.contains(expected), "{text}");
+        }
     }
 
     #[test]

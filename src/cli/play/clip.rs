@@ -40,6 +40,8 @@ pub(in crate::cli) struct Loaded {
     pub is_cut: bool,
     /// The pictures that cannot be decoded, with their names and why.
     pub unusable: Vec<String>,
+    /// What is missing of the source, and what was made of its times.
+    pub remarks: Vec<String>,
 }
 
 impl Loaded {
@@ -80,6 +82,26 @@ pub(in crate::cli) fn check_size(source: &dyn FrameSource) -> anyhow::Result<()>
         Extent::Whole.way_out()
     );
     Ok(())
+}
+
+/// Says that a whole video of so many `frames` will not fit into the memory if all are as large as its `first`; `None` if
+/// they will. What they really take is known once all are decoded.
+pub(in crate::cli) fn doubt_of_size(
+    name: &str,
+    first: &EncodedPicture,
+    frames: u64,
+) -> Option<String> {
+    let bytes = frames.saturating_mul(first.bytes.len() as u64);
+    if bytes <= MAX_BYTES as u64 {
+        return None;
+    }
+    Some(format!(
+        "{name}: if all of its {frames} pictures are as large as the first, they have {} MiB, and a clip may take {} MiB \
+         of memory. If they do not fit when its turn comes, {}",
+        bytes >> 20,
+        MAX_BYTES >> 20,
+        Extent::Whole.way_out()
+    ))
 }
 
 /// Reads `extent` of `source`, and tries each picture.
@@ -132,6 +154,7 @@ pub(in crate::cli) fn load(
         is_cut,
         pictures: Pictures::in_memory(source.name().to_owned(), pictures, source.rate()),
         unusable,
+        remarks: source.remarks(),
     })
 }
 
@@ -192,6 +215,17 @@ mod tests {
             assert!(refused.starts_with(fits), "{refused}");
             assert!(refused.contains(way_out), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_video_that_will_hardly_fit_is_doubted_with_the_way_out() {
+        let [mut picture] = first_pictures(1).try_into().unwrap();
+        picture.bytes = vec![0; 1 << 20].into();
+        assert_eq!(doubt_of_size("drive", &picture, 1024), None);
+        let said = doubt_of_size("drive", &picture, 1025).unwrap();
+        let sizes = "they have 1025 MiB, and a clip may take 1024 MiB";
+        assert!(said.contains(sizes), "{said}");
+        assert!(said.contains("split it, and its ground truth"), "{said}");
     }
 
     #[test]

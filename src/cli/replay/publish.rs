@@ -8,7 +8,7 @@ use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, bail};
 use clap::Args;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -39,8 +39,8 @@ pub struct PublishOptions {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive or drive
-    /// of a dashcam]
+    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive, drive of
+    /// a dashcam or stretch of a recording without a jump in time]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = values::above_zero)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node uses its own time windows
@@ -87,8 +87,10 @@ pub struct Sent {
     pub refused: u64,
     /// The reason for the first of them.
     pub first_refusal: Option<String>,
-    /// The number of files that could not be used: pictures, or videos of several.
+    /// The number of pictures, or of several video files, that could not be used.
     pub left_out: u64,
+    /// What is to be said of the source, such as what is missing of it.
+    pub remarks: Vec<String>,
     /// The time from the first frame until now.
     pub elapsed: Duration,
 }
@@ -112,8 +114,43 @@ struct ReadPicture {
 /// What was read of a source.
 enum ReadItem {
     Picture(ReadPicture),
-    /// One of several files that cannot be used, and why.
-    LeftOut(String),
+    /// A picture, or one of several files, that cannot be used, and what is told of it.
+    LeftOut(Option<String>),
+    /// What is to be said of the source.
+    Remark(String),
+}
+
+/// So many of those that are left out for one reason are named; the others are counted.
+const NAMED: u64 = 5;
+
+/// What was told of a source: each fault once, however often the source is read.
+#[derive(Default)]
+struct Told {
+    faults: HashSet<String>,
+    /// How many faults have a reason, which is the same for all pictures of a kind that is not read.
+    reasons: HashMap<String, u64>,
+}
+
+impl Told {
+    /// What becomes of the fault of a file of this name; `None` if it was told before.
+    fn left_out(&mut self, name: &str, fault: &str) -> Option<ReadItem> {
+        if !self.faults.insert(fault.to_owned()) {
+            return None;
+        }
+        let known = self.reasons.entry(fault.replace(name, "")).or_default();
+        *known += 1;
+        let said = match *known {
+            ..NAMED => Some(fault.to_owned()),
+            NAMED => Some(format!("{fault} (more for this reason are counted only)")),
+            _ => None,
+        };
+        Some(ReadItem::LeftOut(said))
+    }
+
+    /// What is to be said of a source; `None` if it was told before.
+    fn remark(&mut self, said: String) -> Option<ReadItem> {
+        self.faults.insert(said.clone()).then_some(ReadItem::Remark(said))
+    }
 }
 
 /// The number of frames that are read ahead, so that a slow frame does not delay the next.
@@ -125,8 +162,7 @@ fn read_ahead(
     repeat: bool,
     sender: &mpsc::Sender<anyhow::Result<ReadItem>>,
 ) -> anyhow::Result<()> {
-    // A file that cannot be used is told once, however often the source is read.
-    let mut told = HashSet::new();
+    let mut told = Told::default();
     for pass in 0_u64.. {
         let mut is_empty = true;
         loop {
@@ -141,17 +177,25 @@ fn read_ahead(
                         time_ns: source.time_ns(),
                     })
                 }
-                // The other files follow.
-                Err(fault) if source.picture_name().is_some() => {
-                    let is_new = told.insert(fault.to_string());
-                    if !is_new {
+                Err(fault) => {
+                    let Some(name) = source.picture_name() else {
+                        return Err(fault.into());
+                    };
+                    // The other files follow.
+                    let Some(left_out) = told.left_out(&name, &fault.to_string()) else {
                         continue;
-                    }
-                    ReadItem::LeftOut(fault.to_string())
+                    };
+                    left_out
                 }
-                Err(fault) => return Err(fault.into()),
             };
             if sender.blocking_send(Ok(read)).is_err() {
+                return Ok(());
+            }
+        }
+        for remark in source.remarks() {
+            if let Some(remark) = told.remark(remark)
+                && sender.blocking_send(Ok(remark)).is_err()
+            {
                 return Ok(());
             }
         }
@@ -180,18 +224,24 @@ fn start_reading(
     prepared
 }
 
-/// Returns the next picture, or `None` at the end of the source. Names the files before it that cannot be used on
-/// standard error, and counts them in `left_out`.
+/// Returns the next picture, or `None` at the end of the source. Names what cannot be used before it on standard error,
+/// and counts it in `sent`.
 async fn next_picture(
     prepared: &mut mpsc::Receiver<anyhow::Result<ReadItem>>,
-    left_out: &mut u64,
+    sent: &mut Sent,
 ) -> anyhow::Result<Option<ReadPicture>> {
     while let Some(read) = prepared.recv().await {
         match read? {
             ReadItem::Picture(picture) => return Ok(Some(picture)),
-            ReadItem::LeftOut(fault) => {
-                eprintln!("albireo: left out: {fault}");
-                *left_out += 1;
+            ReadItem::LeftOut(said) => {
+                sent.left_out += 1;
+                if let Some(said) = said {
+                    eprintln!("albireo: left out: {said}");
+                }
+            }
+            ReadItem::Remark(said) => {
+                eprintln!("albireo: {said}");
+                sent.remarks.push(said);
             }
         }
     }
@@ -337,7 +387,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         let next = tokio::select! {
             biased;
             () = shutdown.cancelled() => break,
-            next = next_picture(&mut prepared, &mut sent.left_out) => next?,
+            next = next_picture(&mut prepared, &mut sent) => next?,
         };
         let Some(read) = next else { break };
         let begun = match started {

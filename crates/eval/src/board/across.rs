@@ -2,7 +2,7 @@
 
 use super::run::{Differing, Setup, SetupRuns};
 use super::summary::{Changes, Composition, PolicyFigures, SetupSummary, compositions};
-use super::table::{JoinedTable, column, percent, whole};
+use super::table::{JoinedTable, column, percent, percent_or_dash, whole};
 use crate::spec::short_label;
 use crate::summary::Difference;
 use crate::text::{Column, one_decimal, or_dash, signed, three_decimals};
@@ -93,15 +93,15 @@ fn figures(rows: &[PolicyRow<'_>]) -> Vec<Column> {
         column("change", "%", rows, |row| {
             mean(change(row).and_then(|change| change.joules))
         }),
-        column("time", "ms", rows, |row| {
-            format!("{:.1}", row.figures.frame_ms)
-        }),
+        column("time", "ms", rows, |row| one_decimal(row.figures.frame_ms)),
         column("EDP", "J·ms", rows, |row| whole(row.figures.edp)),
         column("change", "%", rows, |row| {
             let edp = change(row).and_then(|change| change.edp);
             or_dash(edp.map(|edp| signed(edp, 1)))
         }),
-        column("skip", "%", rows, |row| percent(row.figures.skip_rate)),
+        column("skip", "%", rows, |row| {
+            percent_or_dash(row.figures.skip_rate)
+        }),
     ]
 }
 

@@ -224,8 +224,10 @@ fn plane(series: &[Series]) -> Result<String, PlotError> {
 
 /// Draws a bar for each setup and policy.
 fn states(summaries: &[SetupSummary]) -> Result<String, PlotError> {
-    let rows: Vec<(String, Vec<f64>)> =
-        each(summaries).map(|(name, figures)| (name, figures.states.to_vec())).collect();
+    let mut rows: Vec<(String, Vec<f64>)> = Vec::new();
+    for (name, figures) in each(summaries) {
+        rows.push((name, figures.states.into_iter().flatten().collect()));
+    }
     stacked(&rows, &state_parts(), percent_label)
 }
 
@@ -310,14 +312,15 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
             let (Some(own), Some(before)) = (run.ap50, baseline.get(run.clip.as_str())) else {
                 continue;
             };
+            let Some(share) = run.share_of(states) else {
+                continue;
+            };
             let policy = short_label(&run.policy);
             let name = if setups.len() == 1 {
                 policy.to_owned()
             } else {
                 format!("{title}: {policy}")
             };
-            let frames: u64 = states.iter().map(|state| run.states.get(*state)).sum();
-            let share = frames as f64 / run.states.frames().max(1) as f64;
             let point = (share * 100.0, (own - before) * 100.0);
             match series.iter_mut().find(|other| other.name == name) {
                 Some(known) => known.points.push(point),

@@ -95,7 +95,7 @@ fn run(row: PublishedRow) -> ClipRun {
         degraded: 0,
         detector_calls: row.infer_count,
         duration_s: row.wall_duration_s,
-        frame_ms: row.avg_frame_time_ms,
+        frame_ms: Some(row.avg_frame_time_ms),
         ap50: row.ap_50,
         map: row.ap_50_95,
         joules: row.energy_j,

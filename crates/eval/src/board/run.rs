@@ -1,5 +1,6 @@
 //! Defines a run of one clip under one policy, and the setup in which runs were measured.
 
+use albireo_core::policy::FrameState;
 use albireo_wire::{ClipReport, EnergyQuality, FrameStates};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -180,8 +181,8 @@ pub struct ClipRun {
     pub detector_calls: u64,
     /// Seconds from the first frame's arrival to the last answer.
     pub duration_s: f64,
-    /// Mean time of a frame until its answer, milliseconds.
-    pub frame_ms: f64,
+    /// Mean time of a frame until its answer, milliseconds; absent if no frame was answered.
+    pub frame_ms: Option<f64>,
     /// AP@50 of the published boxes against the ground truth, 0 to 1; absent if the clip's truth has no box.
     pub ap50: Option<f64>,
     /// mAP@50:95, likewise.
@@ -225,6 +226,7 @@ impl ClipRun {
     pub fn of(report: &ClipReport, clip: &str, policy: &str) -> Self {
         let energy = &report.energy;
         let joules = energy.whole_joules();
+        let times = &report.total_latency_ms;
         let mut domains = BTreeMap::new();
         // Joules of a part of the time are not shown, neither as a sum nor by domain.
         if joules.is_some() {
@@ -243,7 +245,7 @@ impl ClipRun {
             degraded: report.degraded_frames,
             detector_calls: report.detector_latency_ms.count,
             duration_s: report.duration_s,
-            frame_ms: report.total_latency_ms.mean,
+            frame_ms: (times.count > 0).then_some(times.mean),
             ap50: None,
             map: None,
             joules,
@@ -258,9 +260,16 @@ impl ClipRun {
         }
     }
 
-    /// Share of frames that skipped the detector, without degraded ones.
-    pub fn skip_rate(&self) -> f64 {
-        self.states.skip_rate(self.degraded)
+    /// Share of frames that skipped the detector, without degraded ones; `None` if no frame was answered.
+    pub fn skip_rate(&self) -> Option<f64> {
+        (self.states.frames() > 0).then(|| self.states.skip_rate(self.degraded))
+    }
+
+    /// Share of frames that are in one of `states`; `None` if no frame was answered.
+    pub(super) fn share_of(&self, states: &[FrameState]) -> Option<f64> {
+        let all = self.states.frames();
+        let frames: u64 = states.iter().map(|state| self.states.get(*state)).sum();
+        (all > 0).then(|| frames as f64 / all as f64)
     }
 
     /// Processor cores that the program kept busy.
@@ -269,9 +278,11 @@ impl ClipRun {
         cores.is_finite().then_some(cores)
     }
 
-    /// Energy-delay product by the paper's definition, joules times duration over frames, J·ms/frame.
+    /// Energy-delay product by the paper's definition, joules times duration over frames, J·ms/frame; `None` without
+    /// energy, or if no frame was answered.
     pub fn edp(&self) -> Option<f64> {
-        Some(self.joules? * self.duration_s * 1e3 / self.frames.max(1) as f64)
+        let joules = self.joules?;
+        (self.frames > 0).then(|| joules * self.duration_s * 1e3 / self.frames as f64)
     }
 }
 

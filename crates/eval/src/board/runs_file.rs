@@ -6,7 +6,7 @@ use super::run::{ClipRun, Setup, SetupRuns};
 use crate::error::EvalError;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// The version of the file's form.
@@ -29,12 +29,13 @@ pub struct RunsFile {
     path: PathBuf,
     file: File,
     runs: Vec<ClipRun>,
+    kept: Option<PathBuf>,
 }
 
 impl RunsFile {
     /// Opens the file of `setup` in `folder`, or creates it. A last line that was cut off, because the program or the
     /// machine stopped while it was written, is removed: its run is played again. With `restart` the runs before are
-    /// kept in a file beside it, instead of those that an earlier restart kept there, and all are played again.
+    /// kept in a new file beside it, and all are played again.
     ///
     /// # Errors
     /// When the file cannot be read or written, or holds runs of another setup.
@@ -58,14 +59,12 @@ impl RunsFile {
         })?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(failed)?;
-        if restart && !bytes.is_empty() {
-            let beside = folder.join(format!("{}.before", setup.file_name()));
+        let mut kept = None;
+        if restart {
             let lines = bytes.iter().filter(|byte| **byte == b'\n').count();
-            // The first line is the setup.
-            let has_runs = lines > 1;
-            // A restart that was stopped before its first run leaves what the one before it has kept.
-            if has_runs || !beside.exists() {
-                keep(&beside, &bytes).map_err(|error| EvalError::write(&beside, error))?;
+            // The first line is the setup, and a restart that was stopped before its first run has no other.
+            if lines > 1 {
+                kept = Some(keep_beside(&path, &bytes)?);
             }
             bytes.clear();
         }
@@ -77,6 +76,7 @@ impl RunsFile {
             path: path.clone(),
             file,
             runs: Vec::new(),
+            kept,
         };
         match parse(&path, &text)? {
             Some(before) => {
@@ -96,6 +96,11 @@ impl RunsFile {
     /// The file's path.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The file in which a restart has kept the runs before, if there were any.
+    pub fn kept(&self) -> Option<&Path> {
+        self.kept.as_deref()
     }
 
     /// The runs so far.
@@ -154,11 +159,31 @@ impl Drop for RunsFile {
     }
 }
 
-/// Writes a file that survives a power loss.
-fn keep(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
+/// Writes the content of a runs file to the first free name beside it, `FILE.before`, `FILE.before-2` and so on, and
+/// returns that. The copy survives a power loss.
+fn keep_beside(path: &Path, bytes: &[u8]) -> Result<PathBuf, EvalError> {
+    let mut number = 1;
+    loop {
+        let ending = if number == 1 {
+            ".before".to_owned()
+        } else {
+            format!(".before-{number}")
+        };
+        let mut name = path.as_os_str().to_owned();
+        name.push(ending);
+        let beside = PathBuf::from(name);
+        let failed = |error: std::io::Error| EvalError::write(&beside, error);
+        match File::create_new(&beside) {
+            Ok(mut file) => {
+                file.write_all(bytes).map_err(failed)?;
+                file.sync_all().map_err(failed)?;
+                return Ok(beside);
+            }
+            // It is there already: what an earlier restart kept is not replaced.
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(failed(error)),
+        }
+    }
 }
 
 /// Returns the length of the lines that were written to their end; the last one may have been cut off.

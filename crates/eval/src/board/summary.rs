@@ -28,14 +28,14 @@ pub(super) struct PolicyFigures {
     pub ap50: Option<f64>,
     pub map: Option<f64>,
     pub joules: Option<f64>,
-    pub frame_ms: f64,
+    pub frame_ms: Option<f64>,
     /// Mean joules times mean time of a frame, J·ms/frame: how the paper's tables have it.
     pub edp: Option<f64>,
     /// Mean over the clips of joules times duration over frames: the paper's definition.
     pub edp_of_clips: Option<f64>,
-    pub skip_rate: f64,
+    pub skip_rate: Option<f64>,
     /// Shares of E, P, E+I, I and AI.
-    pub states: [f64; 5],
+    pub states: [Option<f64>; 5],
     pub detector_calls: f64,
     pub domains: BTreeMap<String, f64>,
     pub cores: Option<f64>,
@@ -129,11 +129,9 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
             None
         }
     };
-    let mean_of = |figure: &dyn Fn(&ClipRun) -> f64| {
-        mean(runs.iter().map(|run| figure(run))).unwrap_or_default()
-    };
     let joules = mean_if_all_known(&|run| run.joules);
-    let frame_ms = mean_of(&|run| run.frame_ms);
+    let frame_ms = mean_if_all_known(&|run| run.frame_ms);
+    let calls = mean(runs.iter().map(|run| run.detector_calls as f64));
     let mut domains = BTreeMap::new();
     for name in runs.iter().flat_map(|run| run.domains.keys()) {
         if let Some(joules) = mean_if_all_known(&|run| run.domains.get(name).copied()) {
@@ -150,13 +148,11 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
         map: mean_if_known(&|run| run.map),
         joules,
         frame_ms,
-        edp: joules.map(|joules| joules * frame_ms),
+        edp: joules.zip(frame_ms).map(|(joules, ms)| joules * ms),
         edp_of_clips: mean_if_all_known(&|run| run.edp()),
-        skip_rate: mean_of(&|run| run.skip_rate()),
-        states: FrameState::ALL.map(|state| {
-            mean_of(&|run| run.states.get(state) as f64 / run.states.frames().max(1) as f64)
-        }),
-        detector_calls: mean_of(&|run| run.detector_calls as f64),
+        skip_rate: mean_if_all_known(&|run| run.skip_rate()),
+        states: FrameState::ALL.map(|state| mean_if_all_known(&|run| run.share_of(&[state]))),
+        detector_calls: calls.unwrap_or_default(),
         domains,
         cores: mean_if_all_known(&|run| run.cores()),
         gpu_utilisation: mean_if_all_known(&|run| run.gpu_utilisation),
@@ -230,12 +226,13 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
     };
     let ap50 = both(&|run| run.ap50);
     let joules = both(&|run| run.joules);
-    let times = both(&|run| Some(run.frame_ms));
-    // The EDP multiplies means over the same clips: times of those only whose joules are known.
-    let times_of_joules = both(&|run| run.joules.map(|_| run.frame_ms));
+    let times = both(&|run| run.frame_ms);
+    // The EDP multiplies means over the same clips: those whose joules and times are both known.
+    let joules_of_edp = both(&|run| run.frame_ms.and(run.joules));
+    let times_of_edp = both(&|run| run.joules.and(run.frame_ms));
     let edp = |figure: fn(&Pair) -> f64| {
-        let mean_joules = mean(joules.iter().map(figure))?;
-        let mean_ms = mean(times_of_joules.iter().map(figure))?;
+        let mean_joules = mean(joules_of_edp.iter().map(figure))?;
+        let mean_ms = mean(times_of_edp.iter().map(figure))?;
         Some(mean_joules * mean_ms)
     };
     let edp_before = edp(|pair| pair.before).filter(|before| *before > 0.0);

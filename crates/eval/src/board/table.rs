@@ -82,7 +82,7 @@ fn without_rows(
     let is_tested = |change: Option<Difference>| change.is_some_and(|change| change.p.is_some());
     let has_empty = |policy: &PolicyFigures| {
         let [empty, ..] = policy.states;
-        policy.change.is_some() && empty > 0.0
+        policy.change.is_some() && empty.is_some_and(|share| share > 0.0)
     };
     let needs = [
         (
@@ -161,6 +161,10 @@ pub(super) fn percent(share: f64) -> String {
     format!("{:.1}", share * 100.0)
 }
 
+pub(super) fn percent_or_dash(share: Option<f64>) -> String {
+    or_dash(share.map(percent))
+}
+
 /// The main table of a setup.
 fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     let rows = &summary.policies;
@@ -176,13 +180,13 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
         column("AP@50", "", rows, |row| three_decimals(row.ap50)),
         column("mAP", "", rows, |row| three_decimals(row.map)),
         column("energy", "J", rows, |row| one_decimal(row.joules)),
-        column("time", "ms", rows, |row| format!("{:.1}", row.frame_ms)),
+        column("time", "ms", rows, |row| one_decimal(row.frame_ms)),
         column("EDP", "J·ms", rows, |row| whole(row.edp)),
-        column("skip", "%", rows, |row| percent(row.skip_rate)),
+        column("skip", "%", rows, |row| percent_or_dash(row.skip_rate)),
     ];
     for (place, state) in FrameState::ALL.into_iter().enumerate() {
         columns.push(column(state.as_str(), "%", rows, |row| {
-            percent(row.states[place])
+            percent_or_dash(row.states[place])
         }));
     }
     // These are not read everywhere.
@@ -373,7 +377,9 @@ fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
     };
     let mut columns = vec![
         column("", "policy", &rows, |row| row.name.clone()),
-        column("skip", "%", &rows, |row| percent(row.figures.skip_rate)),
+        column("skip", "%", &rows, |row| {
+            percent_or_dash(row.figures.skip_rate)
+        }),
         column("calls", "a clip", &rows, |row| {
             one_decimal(Some(row.figures.detector_calls))
         }),

@@ -44,7 +44,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
         degraded: 0,
         detector_calls: 100 - skipped,
         duration_s: 10.0,
-        frame_ms: 50.0,
+        frame_ms: Some(50.0),
         ap50: Some(ap50),
         map: Some(ap50 / 2.0),
         joules: Some(joules),
@@ -175,12 +175,27 @@ fn a_restart_keeps_the_runs_before_in_a_file_beside() {
     let restart = true;
     let file = RunsFile::open(folder.path(), &other, restart).unwrap();
     assert!(file.runs().is_empty());
+    let kept = path.with_extension("jsonl.before");
+    assert_eq!(file.kept(), Some(kept.as_path()));
     drop(file);
-    assert_eq!(
-        fs::read(path.with_extension("jsonl.before")).unwrap(),
-        before
-    );
+    assert_eq!(fs::read(kept).unwrap(), before);
     drop(opened(folder.path(), &other).unwrap());
+}
+
+#[test]
+fn no_restart_replaces_runs_that_an_earlier_one_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with_a_run(folder.path());
+    for ending in ["jsonl.before", "jsonl.before-2", "jsonl.before-3"] {
+        let before = fs::read(&path).unwrap();
+        let restart = true;
+        let mut file = RunsFile::open(folder.path(), &setup(), restart).unwrap();
+        file.add(run("b", ending, 20.0, 0.5)).unwrap();
+        drop(file);
+        assert_eq!(fs::read(path.with_extension(ending)).unwrap(), before);
+    }
+    let first = fs::read_to_string(path.with_extension("jsonl.before")).unwrap();
+    assert!(first.contains(BASELINE), "{first}");
 }
 
 #[test]
@@ -342,6 +357,37 @@ fn a_run_has_the_gpus_utilisation_of_its_report_and_none_where_nothing_read_it()
     assert_eq!(utilisation(Some(busy)), Some(0.437));
     assert_eq!(utilisation(Some(BoardState::default())), None);
     assert_eq!(utilisation(None), None);
+}
+
+#[test]
+fn a_mean_or_a_share_of_no_frame_is_an_empty_cell() {
+    assert_eq!(
+        ClipRun::of(&ClipReport::default(), "a", BASELINE).frame_ms,
+        None
+    );
+    let unanswered = ClipRun {
+        frames: 0,
+        dropped: 100,
+        states: FrameStates::default(),
+        detector_calls: 0,
+        frame_ms: None,
+        ..run("a", BASELINE, 10.0, 0.5)
+    };
+    let setups = [SetupRuns {
+        setup: setup(),
+        runs: vec![unanswered, run("b", BASELINE, 10.0, 0.5)],
+    }];
+    let summaries = summary::summarise_all(&setups);
+    let of_clip = rows::rows_of_clips(&setups).swap_remove(0);
+    let of_policy = rows::rows_of_policies(&summaries).swap_remove(0);
+    for (column, cell) in of_clip.into_iter().chain(of_policy) {
+        let is_mean = column.starts_with("edp") || ["frame_ms", "skip_rate"].contains(&column);
+        if is_mean {
+            assert_eq!(cell, "", "{column}");
+        }
+    }
+    assert_eq!(summaries[0].policies[0].states, [None; 5]);
+    figures::figures(&setups, &summaries).unwrap();
 }
 
 /// The text for one run, under vanilla.

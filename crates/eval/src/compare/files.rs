@@ -132,4 +132,16 @@ mod tests {
         assert_eq!(cell(&played, "frame_ms_p95"), "");
         assert_eq!(cell(&played, "detector_ms_mean"), "");
     }
+
+    #[test]
+    fn a_mean_or_a_share_of_no_frame_is_an_empty_cell() {
+        let mut played = run(0, 0, 0, None);
+        assert_eq!(cell(&played, "frame_ms_mean"), "12.5");
+        assert_eq!(cell(&played, "skip_rate"), "1");
+        played.frame_ms = None;
+        played.report.frames = 0;
+        played.report.skip_rate = 0.0;
+        assert_eq!(cell(&played, "frame_ms_mean"), "");
+        assert_eq!(cell(&played, "skip_rate"), "");
+    }
 }

@@ -56,8 +56,9 @@ pub struct Run {
     /// The part of this time spent on reading the power meter, as a share of one core.
     pub meter_share_of_core: f64,
     /// Mean time of a frame until its answer, milliseconds: from its reception if frames came at a rate, as a person
-    /// meets it; else from its turn, for its wait behind the frame before is the sender's doing.
-    pub frame_ms: f64,
+    /// meets it; else from its turn, for its wait behind the frame before is the sender's doing. `None` if no frame was
+    /// answered.
+    pub frame_ms: Option<f64>,
     /// The agreement of its boxes with the detector's; `None` if the detector found nothing.
     pub agreement: Option<Agreement>,
     /// The agreement of its boxes with the ground truth; `None` if there is none.

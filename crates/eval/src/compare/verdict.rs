@@ -26,7 +26,7 @@ pub(super) struct Verdict {
     pub kwh_a_year: Option<Mean>,
     /// The quality of the energy figures.
     pub energy: EnergyQuality,
-    /// True if it skipped at least one frame, or if nobody knows.
+    /// True if it skipped at least one frame.
     pub skips: bool,
     /// The frames of all rounds that its node did not process: without them it had less work.
     pub dropped: u64,
@@ -62,7 +62,7 @@ fn verdict(
         ap50: policy.mean(Figure::Ap50).map(|mean| mean.mean),
         kwh_a_year: kwh_a_year(comparison, variant),
         energy: summary.energy,
-        skips: policy.mean(Figure::SkipRate).is_none_or(|mean| mean.mean > 0.0),
+        skips: skips(comparison, variant),
         dropped: dropped(comparison, variant),
         dropped_by_first: dropped(comparison, 0),
         sentence: String::new(),
@@ -72,6 +72,12 @@ fn verdict(
         verdict.sentence.push_str(&unequal(comparison, &verdict));
     }
     verdict
+}
+
+/// True if a variant skipped a frame in any round.
+fn skips(comparison: &Comparison, variant: usize) -> bool {
+    let mut own = comparison.runs.iter().filter(|run| run.variant == variant);
+    own.any(|run| run.report.skip_rate > 0.0)
 }
 
 /// The frames of a variant that its node did not process, over all rounds.
@@ -290,6 +296,19 @@ mod tests {
         let lines = sentences(&comparison(&["vanilla", "albireo u=1e-4"], runs));
         let said = "albireo u=1e-4: no frame was skipped, so nothing was saved; try u = 4e-4.";
         assert_eq!(lines[0], said);
+    }
+
+    #[test]
+    fn a_policy_under_which_no_frame_was_answered_has_saved_nothing() {
+        let mut silent = run(0, 1, 0, None);
+        silent.frame_ms = None;
+        silent.report.frames = 0;
+        silent.report.skip_rate = 0.0;
+        silent.report.dropped.overrun = 100;
+        let runs = vec![run(0, 0, 100, None), silent];
+        let lines = sentences(&comparison(&["vanilla", "albireo u=1e-4"], runs));
+        let said = "albireo u=1e-4: no frame was skipped, so nothing was saved. Not equal work";
+        assert!(lines[0].starts_with(said), "{lines:?}");
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
 //! of predictions has the same form and a `score` in each label.
 //!
+//! Frames without an index are in the order of their names, as pictures are.
+//!
 //! Labels with a gap, a frame that they do not list although they list one behind it, are of some frames only: what
 //! they do not list is not judged. A frame that is listed without labels has no objects. Labels that name pictures and
 //! no video, as those of the paper's authors, need not list the last ones, either.
@@ -14,13 +16,16 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, TRUTH_CONFIDENCE, has_extension};
+use super::{
+    Clip, DataSet, LabelledBox, LeftOut, LoadReport, Rules, TRUTH_CONFIDENCE, has_extension,
+};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
-use serde::Deserialize;
+use albireo_vision::picture::natural_key;
+use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, BTreeSet, HashMap, btree_map};
 use std::path::{Path, PathBuf};
 
@@ -41,8 +46,15 @@ struct Frame {
     video: Option<String>,
     #[serde(default, rename = "frameIndex", alias = "index")]
     index: Option<usize>,
-    #[serde(default)]
+    /// `None` if the key is missing.
+    #[serde(default, deserialize_with = "listed")]
     labels: Option<Vec<Label>>,
+}
+
+/// Reads the labels of a frame; BDD100K writes `null` for none.
+fn listed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<Label>>, D::Error> {
+    let labels: Option<Vec<Label>> = Option::deserialize(deserializer)?;
+    Ok(Some(labels.unwrap_or_default()))
 }
 
 #[derive(Deserialize)]
@@ -104,6 +116,8 @@ pub struct Source<'a> {
 /// The boxes of a frame, and the regions in which none are judged.
 #[derive(Clone, Default)]
 struct Labelled {
+    /// The name of its picture, empty if there is none.
+    name: String,
     boxes: Vec<ScoredBox>,
     regions: Vec<Ignored>,
     /// True if only the picture's name says which frame it is.
@@ -166,6 +180,7 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
                     clip.ignore(*frame, *region);
                 }
             }
+            clip.file_names = file_names(&truth);
             clip.truth = Some(spread(truth, frames));
         }
         clip.detections = detections.map(|detections| spread(detections, frames));
@@ -182,6 +197,18 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
     frames.and_then(BTreeMap::last_key_value).map_or(0, |(index, _)| index + 1)
 }
 
+/// The name of each frame's picture, empty for a frame that is not listed; none if one that is listed has none.
+fn file_names(by_index: &BTreeMap<usize, Labelled>) -> Vec<String> {
+    let mut names = vec![String::new(); length(Some(by_index))];
+    for (index, labelled) in by_index {
+        if labelled.name.is_empty() {
+            return Vec::new();
+        }
+        names[*index].clone_from(&labelled.name);
+    }
+    names
+}
+
 /// Returns one list of boxes per frame; those of frames that the file does not contain are empty.
 fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredBox>> {
     let mut spread = vec![Vec::new(); frames];
@@ -189,6 +216,27 @@ fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredB
         spread[index] = labelled.boxes;
     }
     spread
+}
+
+/// What is said of a file of another format.
+const NO_FRAMES: &str = "this is not a list of frames in the Scalabel format";
+
+/// Makes sure that these are frames: other formats are lists of objects, too.
+///
+/// # Errors
+/// What they lack, in words.
+fn check(frames: &[Frame]) -> Result<(), String> {
+    let is_nameless = |frame: &Frame| frame.name.is_empty() && frame.index.is_none();
+    let is_no_frame = |frame: &Frame| is_nameless(frame) && frame.labels.is_none();
+    if let Some(number) = frames.iter().position(is_no_frame) {
+        return Err(format!(
+            "{NO_FRAMES}: entry {number} has neither `name` nor `frameIndex` nor `labels`"
+        ));
+    }
+    if !frames.is_empty() && frames.iter().all(|frame| frame.labels.is_none()) {
+        return Err(format!("{NO_FRAMES}: no frame has `labels`"));
+    }
+    Ok(())
 }
 
 /// What a file of labels contains.
@@ -217,18 +265,23 @@ impl Reading<'_> {
             } else {
                 serde_json::from_str(&text).map(|export: Export| export.frames)
             };
-            let frames: Vec<Frame> = parsed.map_err(|error| {
-                let what = format!("this is not a list of frames in the Scalabel format: {error}");
+            let mut frames: Vec<Frame> = parsed.map_err(|error| {
+                let what = format!("{NO_FRAMES}: {error}");
                 EvalError::line(&file, error.line() as u64, what)
             })?;
+            check(&frames).map_err(|what| EvalError::content(&file, what))?;
+            if frames.iter().all(|frame| frame.index.is_none()) {
+                frames.sort_by_cached_key(|frame| natural_key(Path::new(&frame.name)));
+            }
             let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
-            for (position, frame) in frames.into_iter().enumerate() {
+            for frame in frames {
                 let FramePlace {
                     video,
                     index,
                     is_by_name,
-                } = frame.place(&stem, position);
+                } = frame.place(&stem);
                 let by_index = videos.entry(video).or_default();
+                let index = index.unwrap_or(by_index.len());
                 let btree_map::Entry::Vacant(vacant) = by_index.entry(index) else {
                     let what = format!(
                         "frame {} occurs twice: its video already has the index {index}",
@@ -245,6 +298,7 @@ impl Reading<'_> {
                 }
                 let labelled = self.labelled(&file, &frame, kind, report)?;
                 vacant.insert(Labelled {
+                    name: frame.name,
                     is_by_name,
                     ..labelled
                 });
@@ -263,7 +317,9 @@ impl Reading<'_> {
     ) -> Result<Labelled, EvalError> {
         let mut read = Labelled::default();
         for (number, label) in frame.labels.iter().flatten().enumerate() {
+            let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
             let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
+                report.leave_out(LeftOut::NoBox, place);
                 continue;
             };
             let confidence = match (kind, label.score) {
@@ -279,7 +335,6 @@ impl Reading<'_> {
                 }
             };
             let corners = Corners { x1, y1, x2, y2 };
-            let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
             if kind == Kind::Truth && label.is_region(self.rules) {
                 let any_class = None;
                 let region = report.mark(corners, any_class, Mark::Region, self.picture, place);
@@ -302,7 +357,8 @@ impl Reading<'_> {
 /// The place of a frame.
 struct FramePlace {
     video: String,
-    index: usize,
+    /// `None` if neither an index nor a name says it.
+    index: Option<usize>,
     /// True if both are from the name of its picture.
     is_by_name: bool,
 }
@@ -310,20 +366,20 @@ struct FramePlace {
 impl Frame {
     /// Finds the place of the frame. One that names no video, as in the label file of the paper's authors, has it in its
     /// picture's name, `<video>-<7 digits>.jpg` counted from 1, or else belongs to the file's video. Its own index counts
-    /// before that of the name, and this one before its position.
-    fn place(&self, file_stem: &str, position: usize) -> FramePlace {
+    /// before that of the name.
+    fn place(&self, file_stem: &str) -> FramePlace {
         if self.video.is_none()
             && let Some((video, index)) = self.place_by_name()
         {
             return FramePlace {
                 video: video.to_owned(),
-                index: self.index.unwrap_or(index),
+                index: self.index.or(Some(index)),
                 is_by_name: self.index.is_none(),
             };
         }
         FramePlace {
             video: self.video.as_deref().unwrap_or(file_stem).to_owned(),
-            index: self.index.unwrap_or(position),
+            index: self.index,
             is_by_name: false,
         }
     }

@@ -133,13 +133,13 @@ pub fn from_name(name: &str) -> Result<ClassId, LeftOut> {
     }
 }
 
-/// Maps a type of KITTI tracking. A cyclist's box contains rider and bicycle and counts as bicycle.
+/// Maps a type of KITTI tracking, in capitals or not. A cyclist's box contains rider and bicycle and counts as bicycle.
 pub(crate) fn from_kitti(kind: &str) -> Result<ClassId, LeftOut> {
-    match kind {
-        "Pedestrian" | "Person" | "Person_sitting" => Ok(PERSON),
-        "Cyclist" => Ok(BICYCLE),
-        "Car" | "Van" => Ok(CAR),
-        "Truck" => Ok(TRUCK),
+    match kind.to_ascii_lowercase().as_str() {
+        "pedestrian" | "person" | "person_sitting" => Ok(PERSON),
+        "cyclist" => Ok(BICYCLE),
+        "car" | "van" => Ok(CAR),
+        "truck" => Ok(TRUCK),
         _ => Err(LeftOut::UnmappedClass),
     }
 }

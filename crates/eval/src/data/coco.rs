@@ -1,11 +1,12 @@
 //! Reads COCO JSON: `images`, `annotations`, `categories`, and detections as a list of results.
 //!
 //! A clip is a video if images have `video_id`, and otherwise a folder of `file_name`; its frames are in order of
-//! `frame_id`, and otherwise of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
-//! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
+//! `frame_id`, and otherwise of the file names, as pictures are. Boxes are `[x, y, width, height]`. Source: COCO data
+//! format, cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 //!
-//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, `frame_id` (`frame_index`)
-//! is the picture's place in it: counted from 1 if the lowest of the whole file is 1, and otherwise from 0.
+//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, and their names do not say
+//! which ones these are, `frame_id` (`frame_index`) is the picture's place in it: counted from 1 if the lowest of the
+//! whole file is 1, and otherwise from 0.
 //!
 //! A video with TAO's `neg_category_ids` is labelled for these categories, which do not occur in it, and for those that
 //! have boxes there, except that of its `not_exhaustive_category_ids` only some objects have one. Boxes of all other
@@ -17,14 +18,17 @@ use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LeftOut, TRUTH_CONFIDENCE};
 use crate::error::EvalError;
-use crate::files;
+use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::picture::natural_key;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt::Display;
+use std::hash::Hash;
 use std::path::{Path, PathBuf};
 
 #[derive(Deserialize)]
@@ -35,6 +39,62 @@ struct Dataset {
     categories: Vec<Category>,
     #[serde(default)]
     videos: Vec<ListedVideo>,
+}
+
+impl Dataset {
+    /// Makes sure that each id belongs to one entry: files that were merged can both count from 1.
+    ///
+    /// # Errors
+    /// The first id that belongs to two, in words.
+    fn check_ids(&self) -> Result<(), String> {
+        let mut images = Ids::of("images");
+        for image in &self.images {
+            images.add(image.id, &image.file_name)?;
+        }
+        let mut categories = Ids::of("categories");
+        for category in &self.categories {
+            categories.add(category.id, &category.name)?;
+        }
+        let mut videos = Ids::of("videos");
+        for video in &self.videos {
+            videos.add(video.id, video.name.as_deref().unwrap_or_default())?;
+        }
+        let mut annotations = Ids::of("annotations");
+        for (number, annotation) in self.annotations.iter().flatten().enumerate() {
+            if let Some(id) = &annotation.id {
+                annotations.add(id, number)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The entries of a kind by their ids.
+struct Ids<I, N> {
+    kind: &'static str,
+    names: HashMap<I, N>,
+}
+
+impl<I: Copy + Eq + Hash + Display, N: Display> Ids<I, N> {
+    fn of(kind: &'static str) -> Self {
+        let names = HashMap::new();
+        Self { kind, names }
+    }
+
+    /// Adds an entry.
+    ///
+    /// # Errors
+    /// When its id belongs to another one, in words.
+    fn add(&mut self, id: I, name: N) -> Result<(), String> {
+        let Some(other) = self.names.get(&id) else {
+            self.names.insert(id, name);
+            return Ok(());
+        };
+        let kind = self.kind;
+        Err(format!(
+            "the id {id} belongs to two {kind}: {other} and {name}"
+        ))
+    }
 }
 
 #[derive(Deserialize)]
@@ -61,6 +121,8 @@ impl Image {
 
 #[derive(Deserialize)]
 struct Annotation {
+    #[serde(default)]
+    id: Option<Value>,
     image_id: u64,
     category_id: u64,
     bbox: [f64; 4],
@@ -124,6 +186,7 @@ pub(super) fn read_as(
 ) -> Result<DataSet, EvalError> {
     let file = &file_of(dataset)?;
     let set: Dataset = parse(file, "give a COCO file with images and categories")?;
+    set.check_ids().map_err(|what| EvalError::content(file, what))?;
     let mut categories = Categories::new();
     for Category { id, name } in &set.categories {
         let class = class_of(name, classes);
@@ -284,7 +347,7 @@ fn file_of(place: &Path) -> Result<PathBuf, EvalError> {
         return Ok(exported);
     }
     let is_json = |path: &Path| path.extension().is_some_and(|extension| extension == "json");
-    let found = files::entries(place, is_json).unwrap_or_default();
+    let found = entries(place, is_json).unwrap_or_default();
     let example = found.first().unwrap_or(&exported).display().to_string();
     let what = format!(
         "this is a folder, and COCO is one JSON file with images, annotations and categories: give it, such as {example}"
@@ -293,9 +356,8 @@ fn file_of(place: &Path) -> Result<PathBuf, EvalError> {
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {
-    let file = std::fs::File::open(path).map_err(|error| EvalError::read(path, error, help))?;
-    serde_json::from_reader(std::io::BufReader::new(file))
-        .map_err(|error| EvalError::json(path, &error))
+    let text = read_text(path, help)?;
+    serde_json::from_str(&text).map_err(|error| EvalError::json(path, &error))
 }
 
 fn corners([x, y, width, height]: [f64; 4]) -> Corners {
@@ -363,7 +425,8 @@ fn frames(
     let mut clips = Vec::new();
     let mut places = Places::new();
     for (name, mut images) in groups {
-        images.sort_by(|a, b| (a.number(), &a.file_name).cmp(&(b.number(), &b.file_name)));
+        let order = |image: &&Image| (image.number(), natural_key(Path::new(&image.file_name)));
+        images.sort_by_cached_key(order);
         let picture = PictureSize::new(images[0].width, images[0].height);
         for (frame, image) in images.iter().enumerate() {
             if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
@@ -382,6 +445,12 @@ fn frames(
             usize::try_from(number).ok().filter(|number| *number < MAX_FRAMES)
         };
         let all_places: Option<Vec<usize>> = images.iter().map(place_in_video).collect();
+        let mut file_names: Vec<String> =
+            images.iter().map(|image| image.file_name.clone()).collect();
+        if file_names.iter().any(String::is_empty) {
+            // Such an image cannot be placed by its name, so none is.
+            file_names.clear();
+        }
         let video = images[0].video_id.and_then(|id| videos.get(&id));
         let frame_rate = video.and_then(|video| video.fps.or(video.frame_rate));
         clips.push(Clip {
@@ -389,6 +458,7 @@ fn frames(
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
             places: all_places.unwrap_or_default(),
+            file_names,
             ..Clip::new(name, picture, images.len())
         });
     }

@@ -1,9 +1,9 @@
 //! Reads ground truth of ImageNet-VID (ILSVRC 2015): a folder of XML files for each clip, one for each labelled frame,
 //! `Annotations/VID/val/<clip>/000000.xml` beside the pictures `Data/VID/val/<clip>/000000.JPEG`.
 //!
-//! A file's name is the frame, counted from 0. A file without an object is a frame without objects; a frame without a
-//! file was not labelled and is not judged. Boxes are corners in pixels from 0. Source: ILSVRC2015 development kit,
-//! readme.
+//! A file's name is the frame, counted from 0, and that of its picture. A file without an object is a frame without
+//! objects; a frame without a file was not labelled and is not judged. Boxes are corners in pixels from 0. Source:
+//! ILSVRC2015 development kit, readme.
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
@@ -83,13 +83,21 @@ pub(super) fn read_as(folder: &Path, classes: &Evaluated) -> Result<DataSet, Eva
     )
 }
 
+/// The objects of a frame's file.
+#[derive(Default)]
+struct LabelFile {
+    /// The name that it shares with its picture.
+    stem: String,
+    boxes: Vec<ScoredBox>,
+}
+
 fn read_clip(
     name: String,
     files: &[PathBuf],
     classes: &Evaluated,
     report: &mut LoadReport,
 ) -> Result<Clip, EvalError> {
-    let mut labels: BTreeMap<usize, Vec<ScoredBox>> = BTreeMap::new();
+    let mut labels: BTreeMap<usize, LabelFile> = BTreeMap::new();
     let mut size: Option<PictureSize> = None;
     for file in files {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy();
@@ -115,18 +123,22 @@ fn read_clip(
             let labelled = labelled_box(object, classes, file)?;
             boxes.extend(report.keep(&labelled, picture, || file.display().to_string()));
         }
-        labels.insert(frame, boxes);
+        let stem = stem.into_owned();
+        labels.insert(frame, LabelFile { stem, boxes });
     }
     let frames = labels.last_key_value().map_or(0, |(last, _)| last + 1);
     // A clip without files has no frames either, so its size stands for nothing.
     let picture = size.unwrap_or(PictureSize::new(1, 1));
     let mut clip = Clip::new(name, picture, frames);
-    let mut truth = vec![Vec::new(); frames];
-    for (frame, boxes) in truth.iter_mut().enumerate() {
-        match labels.remove(&frame) {
-            Some(found) => *boxes = found,
-            None => clip.ignore(frame, Ignored::UNLABELLED),
+    let mut truth = Vec::new();
+    for frame in 0..frames {
+        let file = labels.remove(&frame);
+        if file.is_none() {
+            clip.ignore(frame, Ignored::UNLABELLED);
         }
+        let LabelFile { stem, boxes } = file.unwrap_or_default();
+        truth.push(boxes);
+        clip.file_names.push(stem);
     }
     clip.truth = Some(truth);
     Ok(clip)

@@ -104,7 +104,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
 
 /// True for a row of a region in which boxes are not judged.
 fn is_region(row: &Row<'_>) -> Result<bool, EvalError> {
-    Ok(row.text(2, "type")? == "DontCare")
+    Ok(row.text(2, "type")?.eq_ignore_ascii_case("DontCare"))
 }
 
 fn labelled<'r>(row: &'r Row<'_>, confidence: f64) -> Result<LabelledBox<'r>, EvalError> {

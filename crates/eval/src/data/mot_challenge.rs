@@ -3,20 +3,26 @@
 //!
 //! Rows are `frame,id,left,top,width,height,…` with frames and pixels counted from 1. In ground truth of
 //! 2016 and later (nine columns) the seventh is 0 for boxes not to be judged and the eighth the class; the
-//! 2015 release (ten columns) has pedestrians only. Source: MOT16 paper, arXiv 1603.00831, table 3.
+//! 2015 release (ten columns) has pedestrians only, and their place in the world, or -1, from the eighth on. Source:
+//! MOT16 paper, arXiv 1603.00831, table 3. A whole number other than -1 in the eighth of ten columns is a class, too.
+//!
+//! Files in this form that have classes of their own name them: `classes.txt` beside `seqinfo.ini` has lines such as
+//! `14 truck`, as `albireo export` writes it, and `gt/labels.txt` a name in each line, of the classes from 1 on, as CVAT
+//! writes it.
 //!
 //! The benchmark judges pedestrians. It excuses boxes on people on vehicles, people who stand still, distractors and
 //! reflections, since 2020 also on vehicles without motor, and on no other label, as in TrackEval 1.3.0
 //! (`mot_challenge_2d_box.py`). Cars, bicycles and motorcycles, which its own files mark with 0, are excused for boxes
 //! of their own class; files in this form that mark them with 1 have them judged.
 
-use super::classes::{PERSON, from_mot_challenge};
+use super::classes::{PERSON, from_mot_challenge, from_name};
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, TRUTH_CONFIDENCE, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
+use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
 use std::path::Path;
@@ -69,9 +75,9 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
         ..Clip::new(info.name, picture, frames)
     };
     if labels.path.exists() {
-        let with_vehicles = clip.name.contains("MOT20");
+        let numbers = SequenceClasses::read(folder, &clip.name)?;
         let by_frame = labels.read(GONE, |row, lines| {
-            lines.extend(truth_line(row, with_vehicles, picture, report)?);
+            lines.extend(truth_line(row, &numbers, picture, report)?);
             Ok(())
         })?;
         let mut truth = vec![Vec::new(); by_frame.len()];
@@ -158,30 +164,95 @@ enum TruthLine {
     Marked(Ignored),
 }
 
-/// Reads a row of ground truth; `None` if it was left out. `with_vehicles`: vehicles without motor are distractors,
-/// too.
+/// What the numbers of a sequence's classes mean.
+struct SequenceClasses {
+    /// The names of classes by the sequence's own files; other numbers are those of MOTChallenge.
+    names: HashMap<i64, String>,
+    /// True if vehicles without motor are distractors, too.
+    with_vehicles: bool,
+}
+
+impl SequenceClasses {
+    /// Reads the names of the sequence `name` in `folder`, if it has some.
+    fn read(folder: &Path, name: &str) -> Result<Self, EvalError> {
+        let mut names = HashMap::new();
+        let numbered = folder.join("classes.txt");
+        let listed = folder.join("gt/labels.txt");
+        if numbered.exists() {
+            let text = read_text(&numbered, GONE)?;
+            for (number, line) in (1..).zip(text.lines()) {
+                if line.trim().is_empty() {
+                    continue;
+                }
+                let Some((class, class_name)) = numbered_name(line) else {
+                    let what = format!("`{line}` is no number and name, such as `14 truck`");
+                    return Err(EvalError::line(&numbered, number, what));
+                };
+                names.insert(class, class_name);
+            }
+        } else if listed.exists() {
+            let text = read_text(&listed, GONE)?;
+            for (class, line) in (1..).zip(text.lines()) {
+                names.insert(class, line.trim().to_owned());
+            }
+        }
+        Ok(Self {
+            names,
+            with_vehicles: name.contains("MOT20"),
+        })
+    }
+
+    /// The class of this number.
+    fn class(&self, number: i64) -> Result<ClassId, LeftOut> {
+        match self.names.get(&number) {
+            Some(name) => from_name(&name.to_ascii_lowercase()),
+            None => from_mot_challenge(number),
+        }
+    }
+
+    /// The rule by which MOTChallenge excuses boxes of all classes at labels of this number, if it does.
+    fn excuse(&self, number: i64) -> Option<Mark> {
+        match number {
+            _ if self.names.contains_key(&number) => None,
+            2 | 7 | 8 | 12 => Some(Mark::Distractor),
+            6 if self.with_vehicles => Some(Mark::Distractor),
+            // Occluders and crowds.
+            9 | 10 | 11 | 13 => Some(Mark::Unjudged),
+            _ => None,
+        }
+    }
+}
+
+/// Reads a line such as `14 truck`.
+fn numbered_name(line: &str) -> Option<(i64, String)> {
+    let (number, name) = line.trim().split_once(char::is_whitespace)?;
+    Some((number.parse().ok()?, name.trim().to_owned()))
+}
+
+/// The number of a row's class; -1 if it has none, as in the 2015 release.
+fn class_number(row: &Row<'_>) -> Result<i64, EvalError> {
+    if row.len() <= 9 {
+        return row.integer(7, "class");
+    }
+    // A place in the world is no whole number.
+    Ok(row.text(7, "class")?.parse().unwrap_or(-1))
+}
+
+/// Reads a row of ground truth; `None` if it was left out.
 fn truth_line(
     row: &Row<'_>,
-    with_vehicles: bool,
+    numbers: &SequenceClasses,
     picture: PictureSize,
     report: &mut LoadReport,
 ) -> Result<Option<TruthLine>, EvalError> {
     let is_judged = row.number::<f64>(6, "consider")? != 0.0;
-    // The 2015 release has no classes.
-    let number = if row.len() <= 9 {
-        row.integer(7, "class")?
-    } else {
-        -1
-    };
+    let number = class_number(row)?;
     let corners = corners(row)?;
-    let class = from_mot_challenge(number);
+    let class = numbers.class(number);
     // Boxes of which class are excused there, and by which rule.
     let any_class = None;
-    let excuse = match (number, class) {
-        (2 | 7 | 8 | 12, _) => Some((any_class, Mark::Distractor)),
-        (6, _) if with_vehicles => Some((any_class, Mark::Distractor)),
-        // Occluders and crowds.
-        (9 | 10 | 11 | 13, _) => Some((any_class, Mark::Unjudged)),
+    let excuse = match (numbers.excuse(number), class) {
+        (Some(mark), _) => Some((any_class, mark)),
         (_, Ok(PERSON)) if !is_judged => Some((any_class, Mark::Unjudged)),
         (_, Ok(class)) if !is_judged => Some((Some(class), Mark::Distractor)),
         _ => None,
@@ -193,7 +264,10 @@ fn truth_line(
     let labelled = LabelledBox {
         corners,
         class,
-        class_name: number.to_string().into(),
+        class_name: match numbers.names.get(&number) {
+            Some(name) => name.into(),
+            None => number.to_string().into(),
+        },
         confidence: TRUTH_CONFIDENCE,
         object: row.object(1, "id")?,
     };

@@ -162,9 +162,7 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     let mut ignored = Vec::new();
     if path.exists() {
         // Recordings from before there were several rules have only regions.
-        let has_marks = read_text(&path, help)?
-            .trim_start_matches('\u{feff}')
-            .starts_with(IGNORED_HEADER);
+        let has_marks = read_text(&path, help)?.starts_with(IGNORED_HEADER);
         let header = if has_marks {
             IGNORED_HEADER
         } else {
@@ -279,6 +277,20 @@ fn labelled(
     })
 }
 
+/// Refuses a folder that has recorded detections: a list of other clips would replace theirs, and a table that of a clip
+/// of the same name.
+///
+/// # Errors
+/// When there are any, with the way out.
+pub fn check_unused(folder: &Path) -> Result<(), EvalError> {
+    let index = folder.join("sequences.json");
+    if index.exists() {
+        let what = "this folder has recorded detections, which are not replaced: name another folder, or remove it";
+        return Err(EvalError::content(&index, what));
+    }
+    Ok(())
+}
+
 /// Writes `clips` in this layout, so that they can be replayed. Reading returns the same numbers to the last bit.
 /// Existing files are replaced.
 ///
@@ -339,7 +351,10 @@ fn write_tables(folder: &Path, clip: &Clip) -> Result<(), EvalError> {
     replace("detections", Some(detections))?;
     let truth = clip.truth.as_deref().map(|truth| {
         formatted(TRUTH_HEADER, truth, |known| {
-            let object = known.object.map_or(-1, |object| object as i64);
+            let object = match known.object {
+                Some(number) => number.to_string(),
+                None => "-1".to_owned(),
+            };
             format!("{},{},{object}", cells(known.corners), known.class.0)
         })
     });

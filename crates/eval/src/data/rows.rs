@@ -71,6 +71,10 @@ impl Row<'_> {
 
     /// The field at `index` as an object's number; `None` if it is negative.
     pub(super) fn object(&self, index: usize, name: &str) -> Result<Option<u64>, EvalError> {
+        // A whole number of a table is signed, and the largest numbers of objects are not.
+        if let Ok(number) = self.text(index, name)?.parse() {
+            return Ok(Some(number));
+        }
         Ok(u64::try_from(self.integer(index, name)?).ok())
     }
 
@@ -112,9 +116,13 @@ impl Table<'_> {
         let mut lines = (1..).zip(text.lines());
         if let Some(header) = self.header {
             let first = lines.next().map_or("", |(_, first)| first.trim());
-            // Some editors begin a file with the mark of the byte order.
-            if first.trim_start_matches('\u{feff}') != header {
-                let what = format!("the header is `{first}`, expected `{header}`");
+            if first != header {
+                let found = if first.is_empty() {
+                    "missing".to_owned()
+                } else {
+                    format!("`{first}`")
+                };
+                let what = format!("the header is {found}, expected `{header}`");
                 return Err(EvalError::line(&self.path, 1, what));
             }
         }

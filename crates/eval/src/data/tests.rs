@@ -90,3 +90,29 @@ fn the_folder_of_an_export_is_read_as_its_coco_file() {
     let data = coco::read(folder.path(), no_results).unwrap();
     assert_eq!(data.clips.len(), 1);
 }
+
+#[test]
+fn the_mark_of_the_byte_order_is_no_part_of_a_text() {
+    let files = folder(&[
+        ("labels.json", "\u{feff}[]"),
+        ("gt/label_02/a.txt", "\u{feff}0 1 Car 0 0 0 10 20 60 80\n"),
+    ]);
+    let text = crate::files::read_text(&files.path().join("labels.json"), "").unwrap();
+    assert_eq!(text, "[]");
+    let clip = kitti::read(&files.path().join("gt")).unwrap().clips.remove(0);
+    assert_eq!(clip.truth_boxes(), 1);
+}
+
+#[test]
+fn a_compressed_file_and_one_that_is_no_text_are_told_what_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("set.json");
+    let no_results = None;
+    for (bytes, said) in [
+        (&[0x1f, 0x8b, 8, 0], "it is compressed: gunzip it first"),
+        (&[0xff, 0xfe, b'{', 0], "it is not text in UTF-8"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        assert_refused(coco::read(&path, no_results), &["set.json: ", said]);
+    }
+}

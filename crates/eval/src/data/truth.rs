@@ -9,7 +9,7 @@ use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::judge::{Ignored, unlabelled};
 use albireo_core::geometry::PictureSize;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 /// The layout of ground truth.
@@ -37,6 +37,9 @@ pub enum TruthFormat {
 
 /// A size in which every box of labels fits whose pictures are not known yet.
 const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
+
+/// The pixels within which no data set has all its boxes. Shares of a picture are up to 1, and a little beyond it.
+const NORMALISED: f64 = 2.0;
 
 /// The ground truth of all clips. The files are read once.
 #[derive(Clone, Debug)]
@@ -77,8 +80,20 @@ impl GroundTruth {
     /// truth the six of the paper, of COCO's, ImageNet-VID's and of labels of one's own all that both have.
     ///
     /// # Errors
-    /// Like [`read`](Self::read), and when the model has none of its classes.
+    /// Like [`read`](Self::read), when the model has none of its classes, and when no box is left or none is in pixels.
     pub fn for_model(
+        paths: &[PathBuf],
+        format: TruthFormat,
+        rules: Rules,
+        names: &[String],
+    ) -> Result<Self, EvalError> {
+        let truth = Self::read_for(paths, format, rules, names)?;
+        truth.check_boxes()?;
+        Ok(truth)
+    }
+
+    /// [`for_model`](Self::for_model), whatever boxes there are.
+    fn read_for(
         paths: &[PathBuf],
         format: TruthFormat,
         rules: Rules,
@@ -95,6 +110,38 @@ impl GroundTruth {
         }
         truth.classes.check(names)?;
         Ok(truth)
+    }
+
+    /// Makes sure that there are boxes to judge by, and that they are in pixels.
+    fn check_boxes(&self) -> Result<(), EvalError> {
+        let mut left_out = LoadReport::default();
+        let mut paths = Vec::new();
+        for file in &self.files {
+            merge(&mut left_out, file.report.clone().unwrap_or_default());
+            paths.push(file.path.display().to_string());
+        }
+        let mut boxes = 0;
+        let mut furthest = 0.0_f64;
+        for ClipTruth { clip, .. } in self.clips.values() {
+            boxes += clip.truth_boxes();
+            for ScoredBox { corners, .. } in clip.truth.iter().flatten().flatten() {
+                furthest = furthest.max(corners.x2).max(corners.y2);
+            }
+        }
+        let paths = paths.join(", ");
+        if self.clips.values().all(|known| known.clip.truth.is_none()) {
+            return Err(EvalError::new(format!(
+                "{paths}: it lists pictures and no labels, so there is nothing to judge by"
+            )));
+        }
+        left_out.check_boxes(boxes).map_err(|error| error.context(&paths))?;
+        if furthest < NORMALISED {
+            return Err(EvalError::new(format!(
+                "{paths}: all its boxes lie within the first {NORMALISED} pixels of their pictures: are they shares of width and \
+                 height (normalised)? Give them in pixels"
+            )));
+        }
+        Ok(())
     }
 
     /// The classes of other names than those that are evaluated, with the number of their boxes.
@@ -270,7 +317,7 @@ impl GroundTruth {
             ))
         };
         let pictures = clip.frames + clip.unusable.len();
-        let labels = labels_of(found, self.format, whole).map_err(wrong)?;
+        let labels = labels_of(found, self.format, whole, &clip.file_names).map_err(wrong)?;
         let Some(Labels {
             mut objects,
             mut marks,
@@ -332,20 +379,44 @@ struct Labels {
     marks: Vec<Vec<Ignored>>,
 }
 
-/// The labels of `found`, each at the place of its picture among the `whole` clip's; `None` if there are none. If they
-/// cannot be this clip's, the error says in words what they are for.
+impl Labels {
+    /// Puts each frame's labels at its place among `frames` pictures. A picture that gets none was not labelled.
+    fn placed(mut self, places: &[Option<usize>], frames: usize) -> Self {
+        self.marks.resize(self.objects.len(), Vec::new());
+        let mut placed = Self {
+            objects: vec![Vec::new(); frames],
+            marks: vec![vec![Ignored::UNLABELLED]; frames],
+        };
+        let labels = self.objects.into_iter().zip(self.marks);
+        for (place, (objects, marks)) in places.iter().zip(labels) {
+            if let Some(place) = *place {
+                placed.objects[place] = objects;
+                placed.marks[place] = marks;
+            }
+        }
+        placed
+    }
+}
+
+/// The labels of `found`, each at the place of its picture among the `whole` clip's, whose `pictures` have these names, if
+/// they are files; `None` if there are none. If they cannot be this clip's, the error says in words what they are for.
 fn labels_of(
     found: &Clip,
     format: TruthFormat,
     whole: Option<usize>,
+    pictures: &[String],
 ) -> Result<Option<Labels>, String> {
     let Some(objects) = found.truth.clone() else {
         return Ok(None);
     };
-    let mut listed = Labels {
+    let listed = Labels {
         objects,
         marks: found.ignored.clone(),
     };
+    let by_name = places_by_name(&found.file_names, pictures)?;
+    if !by_name.is_empty() {
+        return Ok(Some(listed.placed(&by_name, pictures.len())));
+    }
     // A file of COCO lists pictures, and not always all.
     let lists_all = whole.is_some_and(|whole| whole <= found.frames);
     if format != TruthFormat::Coco || lists_all {
@@ -362,17 +433,50 @@ fn labels_of(
         };
     };
     let frames = whole.unwrap_or_default().max(last + 1);
-    listed.marks.resize(found.frames, Vec::new());
-    let mut placed = Labels {
-        objects: vec![Vec::new(); frames],
-        marks: vec![vec![Ignored::UNLABELLED]; frames],
-    };
-    let labels = listed.objects.into_iter().zip(listed.marks);
-    for (place, (objects, marks)) in found.places.iter().zip(labels) {
-        placed.objects[*place] = objects;
-        placed.marks[*place] = marks;
+    let places: Vec<Option<usize>> = found.places.iter().copied().map(Some).collect();
+    Ok(Some(listed.placed(&places, frames)))
+}
+
+/// The place of each labelled frame among a clip's `pictures` by their file names, without folders and extensions; `None`
+/// for a frame that the labels do not list. There are no places if no label names a picture of the clip: then one or the
+/// other is named otherwise. If only some do, the error says in words what the labels are for.
+fn places_by_name(labelled: &[String], pictures: &[String]) -> Result<Vec<Option<usize>>, String> {
+    let mut known = HashMap::new();
+    for (place, picture) in pictures.iter().enumerate() {
+        known.insert(stem(picture), place);
     }
-    Ok(Some(placed))
+    // Of `1.jpg` and `1.png` no label says which one it is for.
+    if known.len() < pictures.len() {
+        return Ok(Vec::new());
+    }
+    let mut places = Vec::new();
+    let mut named = BTreeSet::new();
+    let mut wrong = None;
+    for name in labelled {
+        let place = known.get(stem(name)).copied();
+        places.push(place);
+        if let Some(place) = place {
+            let is_first = named.insert(place);
+            if !is_first {
+                wrong.get_or_insert_with(|| format!("the picture {name} twice"));
+            }
+        } else if !name.is_empty() {
+            wrong.get_or_insert_with(|| format!("other pictures, too: the clip has no {name}"));
+        }
+    }
+    if named.is_empty() {
+        return Ok(Vec::new());
+    }
+    match wrong {
+        Some(wrong) => Err(wrong),
+        None => Ok(places),
+    }
+}
+
+/// A picture's name without folders, as Linux or Windows writes them, and without the extension.
+fn stem(name: &str) -> &str {
+    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
 }
 
 /// The entries of `frames` whose pictures can be used.

@@ -4,7 +4,7 @@ use super::*;
 use crate::data;
 use crate::data::classes::Evaluated;
 use crate::footage::{SourceName, VideoEncoding};
-use albireo_core::detection::ObjectId;
+use albireo_core::detection::{ClassId, ObjectId};
 use albireo_core::geometry::Corners;
 use albireo_core::policy::{BoxSource, FrameState};
 use albireo_recording::{AuditMessage, RecordingFile};
@@ -177,15 +177,16 @@ fn an_export_as_motchallenge_is_read_by_the_evaluation_with_the_same_tracks() {
     };
     assert_eq!(clip.frames, 4);
     assert_eq!(clip.frame_rate, Some(10.0));
-    // MOTChallenge has cars and no trucks.
+    // MOTChallenge has cars and no trucks; `classes.txt` names these.
     for objects in clip.truth.as_ref().unwrap() {
-        let [car] = objects.as_slice() else {
+        let [car, truck] = objects.as_slice() else {
             panic!("{objects:?}");
         };
         assert_eq!(car.corners, place());
         assert_eq!(car.object, Some(7));
+        assert_eq!(truck.class, ClassId(7));
     }
-    assert_eq!(read.report.unmapped_classes["14"], 4);
+    assert_eq!(read.report, data::LoadReport::default());
 }
 
 #[test]

@@ -35,6 +35,11 @@ impl ArchivedPicture {
         format!("{archive}: {}", self.inside.display())
     }
 
+    /// Its path in the archive.
+    pub(super) fn inside(&self) -> &Path {
+        &self.inside
+    }
+
     /// The bytes of the encoded picture.
     pub(super) fn bytes(&self) -> u64 {
         self.length as u64
@@ -59,21 +64,49 @@ pub(super) struct ArchivedClip {
     pub pictures: Vec<ArchivedPicture>,
 }
 
+/// What is in an archive.
+pub(super) struct ArchiveContent {
+    pub clips: Vec<ArchivedClip>,
+    /// That the archive is cut short, in words, if it is.
+    pub damage: Option<String>,
+}
+
+/// The folders of an archive.
+struct Folders {
+    folders: Vec<Folder>,
+    /// True if the archive is cut short.
+    are_cut: bool,
+}
+
 /// A folder of an archive, with the pictures that lie in it itself.
 struct Folder {
     path: PathBuf,
     pictures: Vec<ArchivedPicture>,
 }
 
-/// Lists the JPEG and PNG files of an archive by their folders, in the order in which these first occur.
+/// The length of what an archive is made of. One of zeros ends it.
+const BLOCK: usize = 512;
+
+/// Lists the JPEG and PNG files of an archive by their folders, in the order in which these first occur. Of one that is
+/// cut short these are the files that are whole.
 ///
 /// # Errors
 /// When the archive cannot be read or has no pictures.
-pub(super) fn archived_clips(path: &Path) -> Result<Vec<ArchivedClip>, EvalError> {
-    let folders = folders_of(path)?;
+pub(super) fn archived_clips(path: &Path) -> Result<ArchiveContent, EvalError> {
+    let Folders { folders, are_cut } = folders_of(path)?;
     if folders.is_empty() {
-        return Err(EvalError::content(path, "it has no JPEG or PNG files"));
+        let what = if are_cut {
+            "it is cut short, and no JPEG or PNG file in it is whole"
+        } else {
+            "it has no JPEG or PNG files"
+        };
+        return Err(EvalError::content(path, what));
     }
+    let whole: usize = folders.iter().map(|folder| folder.pictures.len()).sum();
+    let damage = format!(
+        "{}: the archive is cut short: {whole} pictures are whole",
+        path.display()
+    );
     let names = clip_names(&folders, &clip_name(path));
     let mut clips = Vec::new();
     for (name, folder) in names.into_iter().zip(folders) {
@@ -81,14 +114,39 @@ pub(super) fn archived_clips(path: &Path) -> Result<Vec<ArchivedClip>, EvalError
         pictures.sort_by_cached_key(|picture| natural_key(&picture.inside));
         clips.push(ArchivedClip { name, pictures });
     }
-    Ok(clips)
+    Ok(ArchiveContent {
+        clips,
+        damage: are_cut.then_some(damage),
+    })
+}
+
+/// True if no block of zeros is at the end.
+fn lacks_end(file: &File, length: u64) -> std::io::Result<bool> {
+    let Some(last) = length.checked_sub(BLOCK as u64) else {
+        return Ok(true);
+    };
+    let mut block = [0; BLOCK];
+    file.read_exact_at(&mut block, last)?;
+    Ok(block.iter().any(|byte| *byte != 0))
 }
 
 /// Walks through the archive. A folder's pictures need not follow each other in it: tar writes them as the disk lists
 /// them.
-fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
-    let unreadable = |error: std::io::Error| EvalError::content(path, error);
+fn folders_of(path: &Path) -> Result<Folders, EvalError> {
+    // It quotes what is no archive.
+    let unreadable = |error: std::io::Error| {
+        let said = error.to_string();
+        EvalError::content(
+            path,
+            format!(
+                "it cannot be read as a tar archive: {}",
+                said.escape_debug()
+            ),
+        )
+    };
     let file = File::open(path).map_err(unreadable)?;
+    let file_length = file.metadata().map_err(unreadable)?.len();
+    let mut are_cut = lacks_end(&file, file_length).map_err(unreadable)?;
     let archive = Arc::new(Archive {
         path: path.to_path_buf(),
         file,
@@ -97,7 +155,11 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let mut members = tar::Archive::new(&archive.file);
     for member in members.entries_with_seek().map_err(unreadable)? {
-        let member = member.map_err(unreadable)?;
+        let member = match member {
+            Ok(member) => member,
+            Err(_) if are_cut && !folders.is_empty() => break,
+            Err(error) => return Err(unreadable(error)),
+        };
         let inside = member.path().map_err(unreadable)?;
         if !member.header().entry_type().is_file() || !is_picture_file(&inside) {
             continue;
@@ -106,6 +168,11 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
         if length > FrameLimits::default().max_payload_bytes {
             let what = format!("{} is too large for a picture", inside.display());
             return Err(EvalError::content(path, what));
+        }
+        let offset = member.raw_file_position();
+        if offset.saturating_add(member.size()) > file_length {
+            are_cut = true;
+            continue;
         }
         let folder = inside.parent().unwrap_or(Path::new(""));
         let place = match places.get(folder) {
@@ -122,11 +189,11 @@ fn folders_of(path: &Path) -> Result<Vec<Folder>, EvalError> {
         folders[place].pictures.push(ArchivedPicture {
             archive: Arc::clone(&archive),
             inside: inside.to_path_buf(),
-            offset: member.raw_file_position(),
+            offset,
             length,
         });
     }
-    Ok(folders)
+    Ok(Folders { folders, are_cut })
 }
 
 /// Names the clips of an archive after its folders. Folders of one name in different places are told apart by the

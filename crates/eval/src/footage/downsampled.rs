@@ -78,6 +78,10 @@ impl FrameSource for Downsampled<'_> {
         self.source.time_ns()
     }
 
+    fn remarks(&self) -> Vec<String> {
+        self.source.remarks()
+    }
+
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         loop {
             let next = self.source.next();

@@ -9,7 +9,7 @@ use crate::error::EvalError;
 use crate::files::entries;
 use albireo_recording::is_recording;
 use albireo_vision::picture::is_picture_file;
-use albireo_vision::recordings::{are_several, is_video_file};
+use albireo_vision::recordings::{FileKind, are_several, is_video_file};
 use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -49,16 +49,22 @@ impl FromStr for SourceName {
             return Ok(Self::Video(text.into()));
         }
         // A topic begins with a slash.
-        if let Some((file, topic)) = text.split_once(".mcap:/") {
-            let topic = Some(format!("/{topic}"));
-            return Ok(Self::Recording(format!("{file}.mcap").into(), topic));
+        for (end, _) in text.match_indices(":/") {
+            let (file, topic) = (Path::new(&text[..end]), &text[end + 1..]);
+            if is_recording(file) || FileKind::of(file) == Some(FileKind::Mcap) {
+                return Ok(Self::Recording(file.to_path_buf(), Some(topic.to_owned())));
+            }
         }
         let path = Path::new(text);
-        if is_recording(path) {
-            return Ok(Self::Recording(path.to_path_buf(), None));
-        }
-        if path.extension().is_some_and(|extension| extension == "tar") {
-            return Ok(Self::Archive(path.to_path_buf()));
+        let is_named =
+            |ending: &str| path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
+        // What a file holds says more than its name.
+        match FileKind::of(path) {
+            Some(FileKind::Mcap) => return Ok(Self::Recording(path.to_path_buf(), None)),
+            Some(FileKind::Tar) => return Ok(Self::Archive(path.to_path_buf())),
+            _ if is_recording(path) => return Ok(Self::Recording(path.to_path_buf(), None)),
+            _ if is_named("tar") => return Ok(Self::Archive(path.to_path_buf())),
+            _ => {}
         }
         let holds_only_videos = holds(path, is_video_file) && !holds(path, is_picture_file);
         let is_pattern = are_several(text) && !path.is_dir();
@@ -75,8 +81,43 @@ impl FromStr for SourceName {
 const HOLDS_BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put \
     the pictures into a folder of their own";
 
+/// What can be played in a folder without pictures and videos of its own, for an error.
+fn found_in(folder: &Path) -> Option<String> {
+    let recordings = entries(folder, is_recording).ok()?;
+    if let Some(recording) = recordings.first() {
+        return Some(format!("name the recording in it, {}", recording.display()));
+    }
+    for file in entries(folder, Path::is_file).ok()? {
+        if let Some(kind @ (FileKind::Rosbag | FileKind::Database)) = FileKind::of(&file) {
+            return Some(format!("{}: {}", file.display(), kind.remedy()));
+        }
+    }
+    let is_footage =
+        |path: &Path| is_picture_file(path) || is_video_file(path) || is_recording(path);
+    let below = entries(folder, Path::is_dir).ok()?;
+    let named = below.iter().find(|below| holds(below, is_footage))?;
+    Some(format!("there are some in {}", named.display()))
+}
+
+/// Checks that a folder has pictures; another path is a picture itself.
+///
+/// # Errors
+/// What it has instead, if that can be played.
+fn check_has_pictures(path: &Path) -> Result<(), EvalError> {
+    if !path.is_dir() || holds(path, is_picture_file) {
+        return Ok(());
+    }
+    match found_in(path) {
+        Some(found) => {
+            let what = format!("no pictures and no videos in it; {found}");
+            Err(EvalError::content(path, what))
+        }
+        None => Ok(()),
+    }
+}
+
 /// True for a folder with such files.
-fn holds(folder: &Path, wanted: fn(&Path) -> bool) -> bool {
+fn holds(folder: &Path, wanted: impl Fn(&Path) -> bool) -> bool {
     folder.is_dir() && entries(folder, wanted).is_ok_and(|files| !files.is_empty())
 }
 
@@ -97,11 +138,14 @@ impl SourceName {
         let text = path.to_string_lossy();
         let programs = Ffmpeg::default();
         let source: Box<dyn FrameSource> = match self {
-            Self::Pictures(_) => Box::new(Pictures::of_folder(path, self.pictures_rate(rate))?),
+            Self::Pictures(_) => {
+                check_has_pictures(path)?;
+                Box::new(Pictures::of_folder(path, self.pictures_rate(rate))?)
+            }
             Self::Archive(_) | Self::Demo => {
                 Box::new(Pictures::of_archive(path, self.pictures_rate(rate))?)
             }
-            Self::Recording(_, topic) => Box::new(Recording::open(path, topic.as_deref())?),
+            Self::Recording(_, topic) => Box::new(Recording::open(path, topic.as_deref(), rate)?),
             Self::Video(_) => Box::new(Video::open(&text, rate, encoding, programs)?),
             Self::VideoFiles(_) => Box::new(VideoFiles::open(&text, rate, encoding, programs)?),
         };
@@ -169,9 +213,13 @@ impl SourceName {
         Ok(folders)
     }
 
-    /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
+    /// Returns the path if it exists and can be footage, or if it is an address, which [`Video::open`] refuses.
     fn existing(&self) -> Result<&Path, EvalError> {
         let path = self.path();
+        match FileKind::of(path) {
+            None | Some(FileKind::Mcap | FileKind::Tar) => {}
+            Some(other) => return Err(EvalError::content(path, other.remedy())),
+        }
         // A pattern that matches nothing says so itself.
         let is_pattern = matches!(self, Self::VideoFiles(_));
         if is_pattern || path.exists() || path.to_string_lossy().contains("://") {
@@ -219,10 +267,11 @@ impl SourceName {
         for clip in self.split()? {
             let name = match &clip {
                 // Opened so that a folder without pictures is reported before anything else is done.
-                Self::Pictures(folder) => Pictures::of_folder(folder, any_rate)?.name().to_owned(),
-                Self::Recording(path, topic) => {
-                    Recording::open(path, topic.as_deref())?.name().to_owned()
+                Self::Pictures(folder) => {
+                    check_has_pictures(folder)?;
+                    Pictures::of_folder(folder, any_rate)?.name().to_owned()
                 }
+                Self::Recording(path, topic) => Recording::name_of(path, topic.as_deref())?,
                 Self::VideoFiles(path) => VideoFiles::name_of(path),
                 Self::Video(_) | Self::Archive(_) | Self::Demo => clip_name(clip.path()),
             };
@@ -282,6 +331,84 @@ mod tests {
         ] {
             assert_eq!(text.parse(), Ok(expected));
         }
+    }
+
+    /// A file of this name that begins so.
+    fn file(folder: &TempDir, name: &str, begins: &[u8]) -> String {
+        let path = folder.path().join(name);
+        std::fs::write(&path, begins).unwrap();
+        path.to_str().unwrap().to_owned()
+    }
+
+    #[test]
+    fn what_a_file_holds_says_more_than_its_name_and_capital_letters_say_as_much_as_small_ones() {
+        let folder = folder(&[]);
+        let mut tar = vec![0; 512];
+        tar[257..262].copy_from_slice(b"ustar");
+        let named = |text: &str| text.parse::<SourceName>().unwrap();
+        let archive = file(&folder, "drive", &tar);
+        assert_eq!(named(&archive), SourceName::Archive(archive.into()));
+        let bag = file(&folder, "drive.bin", b"\x89MCAP0\r\n");
+        assert_eq!(named(&bag), SourceName::Recording((&bag).into(), None));
+        let front = named(&format!("{bag}:/front"));
+        assert_eq!(
+            front,
+            SourceName::Recording(bag.into(), Some("/front".to_owned()))
+        );
+        assert_eq!(named("A.TAR"), SourceName::Archive("A.TAR".into()));
+        let in_capitals = SourceName::Recording("A.MCAP".into(), Some("/front".to_owned()));
+        assert_eq!(named("A.MCAP:/front"), in_capitals);
+        assert_eq!(
+            named("A.MCAP"),
+            SourceName::Recording("A.MCAP".into(), None)
+        );
+    }
+
+    #[test]
+    fn what_is_no_footage_is_refused_with_what_to_do() {
+        let folder = folder(&[]);
+        let cases: [(&str, &[u8], &str); 5] = [
+            ("a.bag", b"#ROSBAG V2.0\n", "rosbags-convert"),
+            ("a.db3", b"SQLite format 3\0", "ros2 bag convert"),
+            ("a.zip", b"PK\x03\x04", "unpack it"),
+            ("a.tar.gz", b"\x1f\x8b\x08", "unpack it"),
+            ("gz.tar", b"\x1f\x8b\x08", "unpack it"),
+        ];
+        for (name, begins, remedy) in cases {
+            let text = file(&folder, name, begins);
+            let source: SourceName = text.parse().unwrap();
+            let not_opened = source.open(NO_RATE, VideoEncoding::Jpeg).err().unwrap();
+            let not_listed = source.clip_names().unwrap_err();
+            let no_clips = source.open_clips(NO_RATE, VideoEncoding::Jpeg).err().unwrap();
+            for refused in [not_opened, not_listed, no_clips] {
+                let said = refused.to_string();
+                assert!(said.contains(&text) && said.contains(remedy), "{said}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_folder_without_pictures_says_what_can_be_played_in_it() {
+        for (files, said) in [
+            (["metadata.yaml", "bag_0.mcap"], "bag_0.mcap"),
+            (["notes.txt", "below/1.jpg"], "there are some in"),
+            (["notes.txt", "below/a.mp4"], "there are some in"),
+        ] {
+            let refused = named(&folder(&files)).open(NO_RATE, VideoEncoding::Jpeg);
+            let error = refused.err().unwrap().to_string();
+            assert!(
+                error.contains("no pictures") && error.contains(said),
+                "{error}"
+            );
+        }
+        let bag = folder(&["metadata.yaml"]);
+        file(&bag, "bag_0.db3", b"SQLite format 3\0");
+        let refused = named(&bag).open(NO_RATE, VideoEncoding::Jpeg);
+        let error = refused.err().unwrap().to_string();
+        assert!(
+            error.contains("bag_0.db3") && error.contains("MCAP"),
+            "{error}"
+        );
     }
 
     #[test]

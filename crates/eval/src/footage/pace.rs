@@ -31,6 +31,15 @@ impl Pace {
             jumps: times_ns.len() - 1 - usual.len(),
         })
     }
+
+    /// True if there is no such interval between two frames of this pace, one recorded after the other.
+    pub(crate) fn is_jump(&self, earlier_ns: u64, later_ns: u64) -> bool {
+        let longest_ns = LONGEST as f64 * 1e9 / self.rate;
+        match later_ns.checked_sub(earlier_ns) {
+            Some(interval) => interval as f64 > longest_ns,
+            None => true,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -70,6 +79,16 @@ mod tests {
         let seconds = (0..50).map(|frame| frame / 10 * 1000);
         let rate = pace(seconds).unwrap().rate;
         assert!((rate - 10.0).abs() < 2.5, "{rate}");
+    }
+
+    #[test]
+    fn a_jump_goes_back_or_ahead_over_a_pause() {
+        let pace = pace((0..30).map(|frame| 40 * frame)).unwrap();
+        let is_jump = |earlier_ms: u64, later_ms: u64| {
+            pace.is_jump(earlier_ms * 1_000_000, later_ms * 1_000_000)
+        };
+        assert!(!is_jump(1000, 1000) && !is_jump(1000, 1040) && !is_jump(1000, 1390));
+        assert!(is_jump(1000, 999) && is_jump(1000, 1500));
     }
 
     #[test]

@@ -15,6 +15,8 @@ pub struct Pictures {
     /// The number of pictures that were read.
     passed: usize,
     rate: f64,
+    /// What is missing of them, in words.
+    damage: Option<String>,
 }
 
 /// A picture, and the clip it belongs to if there are several.
@@ -42,6 +44,7 @@ impl Pictures {
             pictures,
             passed: 0,
             rate,
+            damage: None,
         }
     }
 
@@ -73,8 +76,9 @@ impl Pictures {
     /// # Errors
     /// When the archive cannot be read or has no pictures.
     pub fn of_archive(path: &Path, rate: f64) -> Result<Self, EvalError> {
+        let content = archived_clips(path)?;
         let mut pictures = Vec::new();
-        for clip in archived_clips(path)? {
+        for clip in content.clips {
             // Pictures of one clip share the memory of its name.
             let name: Arc<str> = clip.name.into();
             for picture in clip.pictures {
@@ -84,10 +88,13 @@ impl Pictures {
                 });
             }
         }
-        Ok(Self::new(clip_name(path), pictures, rate))
+        Ok(Self {
+            damage: content.damage,
+            ..Self::new(clip_name(path), pictures, rate)
+        })
     }
 
-    /// Splits the sequence into its clips.
+    /// Splits the sequence into its clips. What is missing of it is told with the last.
     pub fn into_clips(self) -> Vec<Self> {
         let parts = self.pictures.chunk_by(|a, b| a.clip == b.clip);
         let part = |pictures: &[Member]| {
@@ -95,7 +102,11 @@ impl Pictures {
             let name = clip.unwrap_or(&self.name).to_owned();
             Self::new(name, pictures.to_vec(), self.rate)
         };
-        parts.map(part).collect()
+        let mut clips: Vec<Self> = parts.map(part).collect();
+        if let Some(last) = clips.last_mut() {
+            last.damage = self.damage;
+        }
+        clips
     }
 }
 
@@ -118,6 +129,20 @@ impl FrameSource for Pictures {
         Some(name)
     }
 
+    fn file_names(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        for member in &self.pictures {
+            let path = match &member.location {
+                Location::File(file) => file.as_path(),
+                Location::Archive(picture) => picture.inside(),
+                Location::Memory(_) => return Vec::new(),
+            };
+            let name = path.file_name().unwrap_or_default();
+            names.push(name.to_string_lossy().into_owned());
+        }
+        names
+    }
+
     fn rate(&self) -> f64 {
         self.rate
     }
@@ -136,6 +161,10 @@ impl FrameSource for Pictures {
             };
         }
         Some(bytes)
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        self.damage.iter().cloned().collect()
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
@@ -270,6 +299,23 @@ mod tests {
     }
 
     #[test]
+    fn pictures_that_are_files_have_their_names_in_their_order_and_others_have_none() {
+        let names = ["9.jpg", "10.jpg"];
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            std::fs::write(folder.path().join(name), jpeg(8)).unwrap();
+        }
+        let mut of_folder = Pictures::of_folder(folder.path(), 5.0).unwrap();
+        assert_eq!(of_folder.file_names(), names);
+        let archive = archive_of(&["drive/10.jpg", "drive/9.jpg"]);
+        let archived = Pictures::of_archive(archive.path(), 5.0).unwrap();
+        assert_eq!(archived.file_names(), names);
+        let picture = of_folder.next().unwrap().unwrap();
+        let in_memory = Pictures::in_memory("a".to_owned(), vec![picture], 5.0);
+        assert!(in_memory.file_names().is_empty());
+    }
+
+    #[test]
     fn no_two_clips_of_an_archive_have_the_same_name() {
         let long = "x".repeat(99);
         let [left, right] = ["left", "right"].map(|side| format!("{long}/{side}/images/1.jpg"));
@@ -321,15 +367,35 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_the_archive_no_longer_holds_whole_is_rejected_by_name() {
-        let torn = archive_of(&["busy/1.jpg"]);
-        // tar keeps a member behind a header of 512 bytes.
-        let half = 512 + jpeg(8).len() as u64 / 2;
-        torn.as_file().set_len(half).unwrap();
-        assert!(
-            fault(&torn).starts_with(": busy/1.jpg: "),
-            "{}",
-            fault(&torn)
+    fn an_archive_that_is_cut_short_plays_its_whole_pictures_and_says_how_many() {
+        // tar keeps a member behind a header of 512 bytes, in blocks of as many.
+        let member = 512 + (jpeg(8).len() as u64).next_multiple_of(512);
+        // Within the second of three pictures, behind it, and within the head of the third.
+        for (length, whole) in [(member + 600, 1), (2 * member, 2), (2 * member + 100, 2)] {
+            let torn = archive_of(&["busy/1.jpg", "busy/2.jpg", "night/1.jpg"]);
+            torn.as_file().set_len(length).unwrap();
+            let mut all = Pictures::of_archive(torn.path(), 5.0).unwrap();
+            for _ in 0..whole {
+                assert!(all.next().unwrap().is_some(), "{length}");
+            }
+            assert!(all.next().unwrap().is_none(), "{length}");
+            let said = format!(
+                "{}: the archive is cut short: {whole} pictures are whole",
+                torn.path().display()
+            );
+            assert_eq!(all.remarks(), std::slice::from_ref(&said), "{length}");
+            let of_last = all.into_clips().pop().unwrap().remarks();
+            assert_eq!(of_last, [said], "{length}");
+        }
+        let whole = archive_of(&["busy/1.jpg"]);
+        assert_eq!(
+            Pictures::of_archive(whole.path(), 5.0).unwrap().remarks(),
+            [""; 0]
+        );
+        whole.as_file().set_len(600).unwrap();
+        assert_eq!(
+            fault(&whole),
+            ": it is cut short, and no JPEG or PNG file in it is whole"
         );
     }
 

@@ -26,10 +26,18 @@ pub(super) struct Recording {
     topic: String,
     name: String,
     rate: f64,
+    /// How the pictures follow each other by their times, if they have some.
+    pace: Option<Pace>,
     frames: u64,
     messages: Messages,
     /// The number of the last picture, from 1.
     number: u64,
+    /// When the last picture was recorded.
+    last_ns: Option<u64>,
+    /// How often the times of this pass have jumped.
+    jumps: u64,
+    /// The clip that began at the last jump.
+    clip: Option<String>,
     /// True if the file ends early, which was told when it was opened.
     is_cut: bool,
     /// True once the end was reached.
@@ -126,24 +134,29 @@ impl Recording {
         Ok(topics.into_iter().map(|topic| topic.name).collect())
     }
 
-    /// Opens the pictures on `topic`, or on the only topic that has some.
+    /// The name of the pictures on `topic`, or on the only topic that has some.
+    ///
+    /// # Errors
+    /// The same as for [`open`](Self::open).
+    pub(super) fn name_of(path: &Path, topic: Option<&str>) -> Result<String, EvalError> {
+        let contents = Contents::read(path)?;
+        let found = chosen(path, topic, &contents)?;
+        Ok(name_of_topic(path, found, &contents))
+    }
+
+    /// Opens the pictures on `topic`, or on the only topic that has some. `rate`: frames per second of pictures without
+    /// times.
     ///
     /// # Errors
     /// When the file cannot be read, has no pictures, or has several topics with pictures and none is named.
-    pub(super) fn open(path: &Path, topic: Option<&str>) -> Result<Self, EvalError> {
-        let Contents { overview, topics } = Contents::read(path)?;
-        let found = match (topic, topics.as_slice()) {
-            (Some(name), topics) => topics.iter().find(|topic| topic.name == name),
-            (None, [only]) => Some(only),
-            (None, several) => return Err(no_topic_named(path, several)),
-        };
-        let Some(found) = found else {
-            let what = format!(
-                "it has no pictures on this topic; it has {}",
-                listed(&overview)
-            );
-            return Err(EvalError::content(path, what));
-        };
+    pub(super) fn open(
+        path: &Path,
+        topic: Option<&str>,
+        rate: Option<f64>,
+    ) -> Result<Self, EvalError> {
+        let contents = Contents::read(path)?;
+        let found = chosen(path, topic, &contents)?;
+        let overview = &contents.overview;
         let frames = found.pictures;
         if let Some(damage) = &overview.damage {
             let file = path.display();
@@ -156,22 +169,35 @@ impl Recording {
             .map(|message| message.time_ns)
             .take(TIMED)
             .collect();
-        let possible = Pace::of(&times)
+        let pace = Pace::of(&times).filter(|pace| (0.01..=1000.0).contains(&pace.rate));
+        let rate = match (pace, rate) {
             // As exact as such a clock, and as a person reads it.
-            .map(|pace| (pace.rate * 1e3).round() / 1e3)
-            .filter(|rate| (0.01..=1000.0).contains(rate));
-        let mut name = clip_name(path);
-        if topics.len() > 1 {
-            name = plain_name(&format!("{name}{}", found.name.replace('/', "_")));
-        }
+            (Some(pace), _) => (pace.rate * 1e3).round() / 1e3,
+            (None, Some(given)) => given,
+            (None, None) => {
+                if frames > 1 {
+                    let file = path.display();
+                    let assumed = Pictures::DEFAULT_RATE;
+                    eprintln!(
+                        "albireo: {file} has no times from which a rate follows: {assumed} pictures a second are assumed; \
+                         --rate says how many there are"
+                    );
+                }
+                Pictures::DEFAULT_RATE
+            }
+        };
         Ok(Self {
             messages: opened(path)?,
             path: path.to_owned(),
-            name,
-            rate: possible.unwrap_or(Pictures::DEFAULT_RATE),
+            name: name_of_topic(path, found, &contents),
+            rate,
+            pace,
             frames,
             topic: found.name.clone(),
             number: 0,
+            last_ns: None,
+            jumps: 0,
+            clip: None,
             is_cut: overview.damage.is_some(),
             is_over: false,
         })
@@ -180,10 +206,7 @@ impl Recording {
     fn read(&self, channel: &Channel, message: &Bytes) -> Result<EncodedPicture, EvalError> {
         let limits = FrameLimits::default();
         let named = |fault: &dyn std::fmt::Display| {
-            EvalError::content(
-                &self.path,
-                format!("{}, picture {}: {fault}", self.topic, self.number),
-            )
+            EvalError::new(format!("{}: {fault}", self.last_name()))
         };
         let picture_in = |read: Result<Bytes, RecordingError>| {
             let file = read.map_err(|error| named(&error))?;
@@ -197,6 +220,59 @@ impl Recording {
                 .map_err(|fault| named(&fault)),
             None => Err(named(&READABLE)),
         }
+    }
+
+    /// The file, the topic and the number of the last picture.
+    fn last_name(&self) -> String {
+        let Self {
+            path,
+            topic,
+            number,
+            ..
+        } = self;
+        format!("{}:{topic}, picture {number}", path.display())
+    }
+
+    /// Notes when the next picture was recorded. A clip begins with it if the times jump.
+    fn arrive(&mut self, time_ns: u64) {
+        let before_ns = self.last_ns.replace(time_ns);
+        if let Some(pace) = self.pace
+            && let Some(before_ns) = before_ns
+            && pace.is_jump(before_ns, time_ns)
+        {
+            self.jumps += 1;
+            self.clip = Some(format!("{}-{}", self.name, self.jumps + 1));
+        }
+    }
+}
+
+/// The topic that is named, or the only one.
+fn chosen<'a>(
+    path: &Path,
+    topic: Option<&str>,
+    contents: &'a Contents,
+) -> Result<&'a PictureTopic, EvalError> {
+    let found = match (topic, contents.topics.as_slice()) {
+        (Some(name), topics) => topics.iter().find(|topic| topic.name == name),
+        (None, [only]) => Some(only),
+        (None, several) => return Err(no_topic_named(path, several)),
+    };
+    found.ok_or_else(|| {
+        let what = format!(
+            "it has no pictures on this topic; it has {}",
+            listed(&contents.overview)
+        );
+        EvalError::content(path, what)
+    })
+}
+
+/// The name of the pictures on a topic: the file's, and that of the topic if there are several.
+fn name_of_topic(path: &Path, topic: &PictureTopic, contents: &Contents) -> String {
+    let file = clip_name(path);
+    if contents.topics.len() > 1 {
+        plain_name(&format!("{file}{}", topic.name.replace('/', "_")))
+    } else {
+        file
     }
 }
 
@@ -215,7 +291,23 @@ impl FrameSource for Recording {
     }
 
     fn picture_name(&self) -> Option<String> {
-        Some(format!("{}, picture {}", self.path.display(), self.number))
+        Some(self.last_name())
+    }
+
+    fn clip(&self) -> Option<&str> {
+        self.clip.as_deref()
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        if self.jumps == 0 {
+            return Vec::new();
+        }
+        vec![format!(
+            "{}: its times jump, {} in all; its pictures are taken at an even rate of {}/s",
+            self.path.display(),
+            self.jumps,
+            self.rate
+        )]
     }
 
     fn rate(&self) -> f64 {
@@ -233,6 +325,7 @@ impl FrameSource for Recording {
         while let Some(message) = self.messages.next() {
             if has_picture_of(&self.topic, &message) {
                 self.number += 1;
+                self.arrive(message.time_ns);
                 return self.read(&message.channel, &message.data).map(Some);
             }
         }
@@ -249,7 +342,76 @@ impl FrameSource for Recording {
     fn rewind(&mut self) -> Result<(), EvalError> {
         self.messages = opened(&self.path)?;
         self.number = 0;
+        self.last_ns = None;
+        self.jumps = 0;
+        self.clip = None;
         self.is_over = false;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_recording::{AuditMessage, RecordingFile};
+    use albireo_wire::VERSION;
+
+    /// A recording with pictures at these milliseconds.
+    fn recorded(folder: &tempfile::TempDir, times_ms: &[u64]) -> PathBuf {
+        let path = folder.path().join("drive.mcap");
+        let mut picture = Vec::new();
+        jpeg_encoder::Encoder::new(&mut picture, 90)
+            .encode(&[90; 64], 8, 8, jpeg_encoder::ColorType::Luma)
+            .unwrap();
+        let mut file = RecordingFile::create(&path).unwrap();
+        for (seq, ms) in (0..).zip(times_ms) {
+            let audit = AuditMessage {
+                v: VERSION,
+                seq,
+                t_ns: ms * 1_000_000,
+                width: 8,
+                height: 8,
+                shown: Vec::new(),
+                detected: Vec::new(),
+            };
+            file.audited("front", picture.clone().into(), &audit).unwrap();
+        }
+        file.finish().unwrap();
+        path
+    }
+
+    #[test]
+    fn a_clip_begins_where_the_times_of_a_recording_jump_and_the_jumps_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = recorded(&folder, &[0, 100, 200, 90_000, 90_100, 50, 150]);
+        let mut recording = Recording::open(&path, None, None).unwrap();
+        assert_eq!(recording.rate(), 10.0);
+        for _ in 0..2 {
+            let mut clips = Vec::new();
+            while recording.next().unwrap().is_some() {
+                clips.push(recording.clip().unwrap_or(recording.name()).to_owned());
+            }
+            let expected = [
+                "drive", "drive", "drive", "drive-2", "drive-2", "drive-3", "drive-3",
+            ];
+            assert_eq!(clips, expected);
+            let remarks = recording.remarks();
+            assert!(
+                remarks[0].contains("its times jump, 2 in all"),
+                "{remarks:?}"
+            );
+            recording.rewind().unwrap();
+        }
+        assert_eq!(recording.remarks(), [""; 0]);
+    }
+
+    #[test]
+    fn a_recording_without_times_has_the_rate_that_is_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = recorded(&folder, &[0, 0, 0]);
+        for (given, rate) in [(None, Pictures::DEFAULT_RATE), (Some(4.0), 4.0)] {
+            let recording = Recording::open(&path, None, given).unwrap();
+            assert_eq!(recording.rate(), rate);
+        }
     }
 }

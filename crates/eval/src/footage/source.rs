@@ -41,9 +41,19 @@ pub trait FrameSource: Send {
         None
     }
 
+    /// The names of the files of all pictures of one pass, in order; none if its pictures are no files.
+    fn file_names(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// When the last picture was recorded, nanoseconds since the Unix epoch, if that is known.
     fn time_ns(&self) -> Option<u64> {
         None
+    }
+
+    /// What is to be said of the pass that has ended, in words: what is missing of it, and what was made of its times.
+    fn remarks(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// The next picture; `None` at the end of the pass.

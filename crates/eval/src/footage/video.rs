@@ -3,7 +3,7 @@
 use super::source::{FrameSource, Stopper, clip_name};
 use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
-use albireo_vision::recordings::{for_ffmpeg, frame_rate};
+use albireo_vision::recordings::{check_is_whole, for_ffmpeg, frame_rate};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -62,6 +62,14 @@ pub struct Video {
     programs: Ffmpeg,
     rate: f64,
     frames: Option<u64>,
+    /// True if the file may leave out frames that it counts.
+    may_leave_out: bool,
+    /// True if its frames do not follow each other evenly.
+    is_uneven: bool,
+    /// The frames of this pass that were read.
+    passed: u64,
+    /// What is missing of the pass that has ended, in words.
+    missing: Option<String>,
     output: Option<FfmpegOutput>,
     process: Arc<Mutex<Process>>,
 }
@@ -98,6 +106,14 @@ impl Process {
 struct Probed {
     #[serde(default)]
     streams: Vec<ProbedStream>,
+    #[serde(default)]
+    format: ProbedFormat,
+}
+
+#[derive(Default, Deserialize)]
+struct ProbedFormat {
+    #[serde(default)]
+    format_name: String,
 }
 
 #[derive(Deserialize)]
@@ -114,15 +130,31 @@ const PROBE: [&str; 8] = [
     "-select_streams",
     "v:0",
     "-show_entries",
-    "stream=avg_frame_rate,r_frame_rate,nb_frames",
+    "format=format_name:stream=avg_frame_rate,r_frame_rate,nb_frames",
     "-of",
     "json",
 ];
 
+/// Filters that a frame of another size makes anew would count from 0 again.
+const ONE_COUNT: [&str; 2] = ["-reinit_filter", "0"];
+
 /// Arguments that output every frame exactly once, whatever its time stamp: frames get consecutive time stamps, so that
-/// a constant output rate neither repeats nor drops any. (`-fps_mode passthrough` is unknown before ffmpeg 5.1,
-/// `-vsync` after 7.)
-const EACH_FRAME: [&str; 6] = ["-map", "0:v:0", "-vf", "settb=1/25,setpts=N", "-r", "25"];
+/// a constant output rate neither repeats nor drops any. All have the size of the first. (`-fps_mode passthrough` is
+/// unknown before ffmpeg 5.1, `-vsync` after 7.)
+const EACH_FRAME: [&str; 6] = [
+    "-map",
+    "0:v:0",
+    "-vf",
+    "scale,settb=1/25,setpts=N",
+    "-r",
+    "25",
+];
+
+/// As many of the lines that ffmpeg says of a file are told: one broken frame gives many.
+const TOLD_LINES: usize = 2;
+
+/// Frames whose rate by the finest of their intervals is so many times the mean are not even.
+const UNEVEN: f64 = 1.5;
 
 impl Video {
     /// Probes and opens a video file. `default_rate` is for files that have no rate of their own.
@@ -145,6 +177,8 @@ impl Video {
         let found = probe(file, default_rate, &programs)?;
         let mut video = Self::open_probed(Arc::default(), file, found.rate, encoding, programs)?;
         video.frames = found.frames;
+        video.may_leave_out = found.may_leave_out;
+        video.is_uneven = found.is_uneven;
         Ok(video)
     }
 
@@ -163,6 +197,10 @@ impl Video {
             programs,
             rate,
             frames: None,
+            may_leave_out: false,
+            is_uneven: false,
+            passed: 0,
+            missing: None,
             output: None,
             process,
         };
@@ -171,23 +209,44 @@ impl Video {
         Ok(video)
     }
 
-    /// Waits for `ffmpeg` at the end of its output; an error if it failed.
-    fn wait(&mut self) -> Result<(), EvalError> {
+    /// Waits for `ffmpeg` at the end of its output, and returns what it said of the file; an error if it failed.
+    fn wait(&mut self) -> Result<String, EvalError> {
         let Some(output) = self.output.take() else {
-            return Ok(());
+            return Ok(String::new());
         };
         let errors = output.errors.join().unwrap_or_default();
         let mut process = self.process.lock();
         let Some(mut child) = process.child.take() else {
-            return Ok(());
+            return Ok(String::new());
         };
         let reason = match child.wait() {
-            Ok(status) if status.success() || process.stopped => return Ok(()),
+            Ok(_) if process.stopped => return Ok(String::new()),
+            Ok(status) if status.success() => return Ok(errors),
             Ok(status) if errors.is_empty() => format!("it ended with {status}"),
             Ok(_) => errors,
             Err(error) => error.to_string(),
         };
         Err(unreadable(&self.file, reason))
+    }
+
+    /// What is missing of a file that was read to its end, of which ffmpeg `said` something or nothing.
+    fn missing(&self, said: &str) -> Option<String> {
+        let has_all = self.may_leave_out || self.frames.is_none_or(|all| self.passed >= all);
+        if said.is_empty() && has_all {
+            return None;
+        }
+        let mut what = match self.frames {
+            Some(all) => format!("{} of {all} frames could be read", self.passed),
+            None => format!("{} frames could be read", self.passed),
+        };
+        if let Err(reason) = check_is_whole(Path::new(&self.file)) {
+            what += &format!("; {reason}");
+        }
+        if !said.is_empty() {
+            let lines: Vec<&str> = said.split("; ").take(TOLD_LINES).collect();
+            what += &format!("; ffmpeg said: {}", lines.join("; "));
+        }
+        Some(format!("{}: {what}", self.file))
     }
 }
 
@@ -204,6 +263,10 @@ struct Properties {
     rate: f64,
     /// The number of frames, if the file says it.
     frames: Option<u64>,
+    /// True for a file that may leave out frames that it counts.
+    may_leave_out: bool,
+    /// True if its frames do not follow each other evenly.
+    is_uneven: bool,
 }
 
 /// Asks ffprobe about a file.
@@ -219,6 +282,8 @@ fn probe(
         .output()
         .map_err(|error| not_started(&programs.ffprobe, error))?;
     if !output.status.success() {
+        let path = Path::new(file);
+        check_is_whole(path).map_err(|reason| EvalError::content(path, reason))?;
         let said = String::from_utf8_lossy(&output.stderr);
         return Err(unreadable(file, said.trim()));
     }
@@ -228,14 +293,23 @@ fn probe(
     let Some(stream) = probed.streams.first() else {
         return Err(wrong("it has no video".to_owned()));
     };
-    let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
-        .into_iter()
-        .flatten()
-        .find_map(|text| frame_rate(text))
-        .or(default_rate)
-        .ok_or_else(|| no_rate(file))?;
-    let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
-    Ok(Properties { rate, frames })
+    let mean = stream.avg_frame_rate.as_deref().and_then(frame_rate);
+    let finest = stream.r_frame_rate.as_deref().and_then(frame_rate);
+    let rate = mean.or(finest).or(default_rate).ok_or_else(|| no_rate(file))?;
+    Ok(Properties {
+        rate,
+        frames: stream.nb_frames.as_ref().and_then(|text| text.parse().ok()),
+        // Its edit list says which ones, as when it was cut without encoding it again.
+        may_leave_out: probed.format.format_name.starts_with("mov,"),
+        is_uneven: finest.is_some_and(|finest| are_uneven(rate, finest)),
+    })
+}
+
+/// True if some frames of this mean rate follow each other much faster.
+fn are_uneven(mean: f64, finest: f64) -> bool {
+    let ratio = finest / mean;
+    // Frames of two fields each have half the rate of the fields.
+    ratio > UNEVEN && (ratio - 2.0).abs() > 0.02
 }
 
 fn not_started(program: &Path, error: std::io::Error) -> EvalError {
@@ -275,6 +349,17 @@ impl FrameSource for Video {
         self.frames
     }
 
+    fn remarks(&self) -> Vec<String> {
+        let mut remarks: Vec<String> = self.missing.iter().cloned().collect();
+        if self.is_uneven {
+            remarks.push(format!(
+                "{}: its frames do not follow each other evenly; they are taken at their mean rate of {:.2}/s",
+                self.file, self.rate
+            ));
+        }
+        remarks
+    }
+
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let Some(output) = &mut self.output else {
             return Ok(None);
@@ -285,14 +370,20 @@ impl FrameSource for Video {
         };
         match read {
             Ok(Some(file)) => match picture_of_file(Bytes::from(file), &FrameLimits::default()) {
-                Ok(picture) => Ok(Some(picture)),
+                Ok(picture) => {
+                    self.passed += 1;
+                    Ok(Some(picture))
+                }
                 Err(fault) => Err(EvalError::new(format!(
                     "{}: a frame cannot be sent: {fault}",
                     self.file
                 ))),
             },
             Ok(None) => {
-                self.wait()?;
+                let said = self.wait()?;
+                if !self.process.lock().stopped {
+                    self.missing = self.missing(&said);
+                }
                 Ok(None)
             }
             Err(cut) => {
@@ -311,6 +402,8 @@ impl FrameSource for Video {
 
     fn rewind(&mut self) -> Result<(), EvalError> {
         self.output = None;
+        self.passed = 0;
+        self.missing = None;
         let mut process = self.process.lock();
         process.end();
         if process.stopped {
@@ -321,7 +414,9 @@ impl FrameSource for Video {
             VideoEncoding::Png => &["-c:v", "png", "-f", "image2pipe"],
         };
         let mut child = Command::new(&self.programs.ffmpeg)
-            .args(["-v", "error", "-nostdin", "-i"])
+            .args(["-v", "error", "-nostdin"])
+            .args(ONE_COUNT)
+            .arg("-i")
             .arg(for_ffmpeg(Path::new(&self.file)))
             .args(EACH_FRAME)
             .args(encoder)

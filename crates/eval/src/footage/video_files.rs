@@ -25,6 +25,8 @@ pub struct VideoFiles {
     /// The file of the last picture, or the one that cannot be played.
     last: PathBuf,
     drive: Arc<str>,
+    /// What is to be said of the files of this pass that have ended.
+    remarks: Vec<String>,
     /// The ffmpeg of the file that is played.
     process: Arc<Mutex<Process>>,
 }
@@ -59,6 +61,7 @@ impl VideoFiles {
             playing: None,
             last: PathBuf::new(),
             drive: Arc::from(""),
+            remarks: Vec::new(),
             process: Arc::default(),
         };
         let mut first_fault = None;
@@ -144,6 +147,10 @@ impl FrameSource for VideoFiles {
         Some(self.last.display().to_string())
     }
 
+    fn remarks(&self) -> Vec<String> {
+        self.remarks.clone()
+    }
+
     fn time_ns(&self) -> Option<u64> {
         let playing = self.playing.as_ref()?;
         let seconds = playing.frames.saturating_sub(1) as f64 / playing.video.rate();
@@ -162,6 +169,7 @@ impl FrameSource for VideoFiles {
             };
             match playing.video.next() {
                 Ok(None) => {
+                    self.remarks.extend(playing.video.remarks());
                     self.playing = None;
                     if self.process.lock().is_stopped() {
                         return Ok(None);
@@ -181,6 +189,7 @@ impl FrameSource for VideoFiles {
 
     fn rewind(&mut self) -> Result<(), EvalError> {
         self.playing = None;
+        self.remarks.clear();
         self.drives = drives(&self.text, &self.programs)?;
         Ok(())
     }

@@ -89,6 +89,7 @@ pub fn run_pass(
     }
     let frames = kept.times.len();
     faults.report(&name, frames, report);
+    report.notes.extend(source.remarks());
     let Some(picture) = size else {
         let what = match faults.named.first() {
             None => "it has no frames".to_owned(),
@@ -115,6 +116,7 @@ pub fn run_pass(
             times: kept.times,
         }),
         classes: models.evaluated().clone(),
+        file_names: source.file_names(),
         unusable: faults.places,
         ..Clip::new(name, picture, frames)
     })

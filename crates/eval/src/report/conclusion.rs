@@ -7,6 +7,9 @@ use crate::text::{counted, signed};
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
 
+/// AP@50 of the baseline below which its detector and the labels have nothing to do with each other.
+const NEXT_TO_NONE: f64 = 0.02;
+
 /// The number of clips from which on an interval over clips is worth choosing a policy by. With fewer it describes the
 /// clips.
 const ENOUGH_CLIPS: usize = 8;
@@ -21,10 +24,11 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let mut sentences = Vec::new();
     if baseline.ap50.is_none() {
         sentences.push(
-            "There is no ground truth, so nothing can be said about accuracy, only about skipped frames."
+            "There is no box of ground truth, so nothing can be said about accuracy, only about skipped frames."
                 .to_owned(),
         );
     } else {
+        sentences.extend(foreign_labels(baseline));
         sentences.extend(too_short(baseline));
         let kept = others.iter().filter(|found| {
             lower_end(found).is_some_and(|lower| lower >= -MARGIN) && found.skip_rate > 0.0
@@ -60,6 +64,15 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         ));
     }
     sentences
+}
+
+/// Says that the labels can hardly be those of the pictures, if the detector on every frame finds next to none of them.
+fn foreign_labels(baseline: &PolicySummary) -> Option<String> {
+    let ap50 = baseline.ap50.filter(|ap50| *ap50 < NEXT_TO_NONE)?;
+    Some(format!(
+        "The detector on every frame finds next to none of the labelled objects (AP@50 {ap50:.3}): are the labels of these \
+         pictures, their boxes in pixels, and corners not taken for sizes?"
+    ))
 }
 
 /// Says that there are too few clips to choose a policy by, if there are.
@@ -109,4 +122,32 @@ fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
     }
     text.push('.');
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::summary::summarise;
+    use crate::summary::tests::result;
+
+    /// What is concluded of the detector on every frame with this AP@50.
+    fn concluded(ap50: Option<f64>) -> String {
+        conclusion(&summarise(&[result("a", BASELINE, ap50, 0)])).join(" ")
+    }
+
+    #[test]
+    fn labels_of_which_the_detector_finds_next_to_none_are_doubted() {
+        let doubt = "finds next to none of the labelled objects (AP@50 0.001)";
+        let said = concluded(Some(0.001));
+        assert!(said.starts_with("The detector on every frame"), "{said}");
+        assert!(said.contains(doubt), "{said}");
+        assert!(!concluded(Some(0.1)).contains("next to none"));
+    }
+
+    #[test]
+    fn without_a_box_of_ground_truth_nothing_is_said_about_accuracy() {
+        let said = concluded(None);
+        assert!(said.contains("no box of ground truth"), "{said}");
+        assert!(!said.contains("next to none"), "{said}");
+    }
 }

@@ -20,7 +20,7 @@ pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> Clip
 }
 
 /// The result of a policy on a clip of ten frames.
-fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipResult {
+pub(crate) fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipResult {
     let mut states = [FrameState::I; 10];
     states[..skipped].fill(FrameState::P);
     let mut result = of_states(clip, policy, &states);

@@ -98,11 +98,8 @@ fn settings_of(config: &NodeConfig) -> anyhow::Result<BTreeMap<String, String>> 
     let mut settings = BTreeMap::new();
     flatten(String::new(), &without_secrets(&played), &mut settings);
     settings.retain(|key, _| !WITHOUT_EFFECT.iter().any(|start| key.starts_with(start)));
-    let names = match &played.detector.class_names {
-        Some(ClassNames::File(names)) if names.is_file() => Some(names.clone()),
-        // A list that is known by name, such as COCO's, is no file.
-        _ => None,
-    };
+    let names = played.detector.class_names.as_ref().and_then(ClassNames::file);
+    let names = names.map(Path::to_path_buf);
     let library = find_library(played.detector.onnxruntime.as_deref()).ok();
     let models = [
         ("detector.model", Some(played.detector.model)),

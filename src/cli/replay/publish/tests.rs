@@ -174,6 +174,24 @@ async fn a_loop_without_frames_is_refused() {
     assert!(nothing.unwrap_err().to_string().contains("no frames"));
 }
 
+#[test]
+fn what_is_left_out_for_one_reason_is_named_at_first_and_then_counted() {
+    let mut told = Told::default();
+    let mut named = 0;
+    for number in 1..=300 {
+        let name = format!("a.mcap:/front, picture {number}");
+        let fault = format!("{name}: it is H.264");
+        let Some(ReadItem::LeftOut(said)) = told.left_out(&name, &fault) else {
+            panic!("{name} is not left out");
+        };
+        named += u64::from(said.is_some());
+        assert!(told.left_out(&name, &fault).is_none());
+    }
+    assert_eq!(named, NAMED);
+    let other = told.left_out("b.jpg", "b.jpg: it is empty");
+    assert!(matches!(other, Some(ReadItem::LeftOut(Some(_)))));
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_broken_picture_is_counted_once_however_often_the_folder_is_played() {
     let folder = tempfile::tempdir().unwrap();

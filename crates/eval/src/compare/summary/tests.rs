@@ -29,7 +29,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         variant,
         cpu_s: calls as f64 / 50.0,
         meter_share_of_core: 0.001,
-        frame_ms: 12.5,
+        frame_ms: Some(12.5),
         agreement: None,
         by_truth: None,
         advice: None,

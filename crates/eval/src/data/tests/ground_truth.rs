@@ -16,7 +16,7 @@ fn for_model(
     GroundTruth::for_model(&[files.path().join(path)], format, Rules::Benchmark, &names)
 }
 
-/// A clip with its ground truth, of which nothing says that it is the only one.
+/// A clip with its ground truth, of which nothing says that it is the only one, and whose pictures are no files.
 fn attached(
     truth: &mut GroundTruth,
     name: &str,
@@ -25,7 +25,23 @@ fn attached(
 ) -> Result<Clip, EvalError> {
     let [width, height] = size;
     let picture = PictureSize::new(width, height);
-    let mut clip = Clip::new(name.to_owned(), picture, pictures);
+    let clip = Clip::new(name.to_owned(), picture, pictures);
+    with_labels(truth, clip)
+}
+
+/// The clip `name` of these files, with its ground truth.
+fn attached_to_files(
+    truth: &mut GroundTruth,
+    name: &str,
+    files: &[String],
+) -> Result<Clip, EvalError> {
+    let mut clip = Clip::new(name.to_owned(), PictureSize::new(640, 360), files.len());
+    clip.file_names = files.to_vec();
+    with_labels(truth, clip)
+}
+
+fn with_labels(truth: &mut GroundTruth, mut clip: Clip) -> Result<Clip, EvalError> {
+    let pictures = clip.frames;
     let alone = false;
     let mut report = LoadReport::default();
     truth.attach_to(&mut clip, alone, Some(pictures), &mut report)?;
@@ -91,8 +107,8 @@ fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbe
 
 #[test]
 fn imagenet_vid_for_other_pictures_is_refused() {
-    let nothing = imagenet_vid(&[]);
-    let files = folder(&[("val/a/000002.xml", &nothing)]);
+    let cat = imagenet_vid(&[("n02121808", 10)]);
+    let files = folder(&[("val/a/000002.xml", &cat)]);
     let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &["cat"]).unwrap();
     let refused = attached(&mut truth, "a", [640, 360], 2).unwrap_err().to_string();
     assert!(refused.contains("3 frames, the clip has 2"), "{refused}");
@@ -139,7 +155,8 @@ fn frames_of_a_video_that_its_labels_do_not_list_are_not_judged() {
 #[test]
 fn pictures_behind_the_last_one_that_labels_name_are_not_judged() {
     // The labels of the paper's authors name pictures, from 1, and leave out those without objects, be they the last.
-    let labels = r#"[{"name": "drive-0000001.jpg", "labels": []}, {"name": "drive-0000002.jpg", "labels": []}]"#;
+    let labels = r#"[{"name": "drive-0000001.jpg", "labels": []}, {"name": "drive-0000002.jpg", "labels": [
+        {"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#;
     assert_eq!(labelled_frames(&drive(labels, 4).unwrap()), [0, 1]);
 }
 
@@ -345,4 +362,146 @@ fn two_files_of_ground_truth_for_one_clip_are_refused_by_name() {
     for part in ["day", "night", "clip `a`"] {
         assert!(refused.contains(part), "{refused}");
     }
+}
+
+/// A file of COCO with images of these names in the clip `v`, of which the first has a car.
+fn coco_of(names: &[&str]) -> TempDir {
+    let images: Vec<String> = (1..)
+        .zip(names)
+        .map(|(id, name)| {
+            format!(r#"{{"id": {id}, "file_name": "v/{name}", "width": 640, "height": 360}}"#)
+        })
+        .collect();
+    let set = format!(
+        r#"{{"images": [{}], "categories": [{{"id": 3, "name": "car"}}],
+        "annotations": [{{"image_id": 1, "category_id": 3, "bbox": [1, 2, 10, 20]}}]}}"#,
+        images.join(", ")
+    );
+    folder(&[("set.json", &set)])
+}
+
+/// The ground truth of a file of COCO.
+fn cars_of(files: &TempDir) -> GroundTruth {
+    for_model(files, "set.json", TruthFormat::Coco, &["car"]).unwrap()
+}
+
+/// `frame_1.jpg` to `frame_10.jpg`, in the order of pictures.
+fn ten_files() -> Vec<String> {
+    (1..=10).map(|number| format!("frame_{number}.jpg")).collect()
+}
+
+/// The frames that have a box.
+fn frames_with_boxes(clip: &Clip) -> Vec<usize> {
+    let truth = clip.truth.as_ref().unwrap();
+    (0..truth.len()).filter(|frame| !truth[*frame].is_empty()).collect()
+}
+
+#[test]
+fn labels_are_for_the_pictures_that_they_name() {
+    let some = coco_of(&["frame_10.jpg", "sub\\\\frame_2.PNG"]);
+    let clip = attached_to_files(&mut cars_of(&some), "v", &ten_files()).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [9]);
+    assert_eq!(labelled_frames(&clip), [1, 9]);
+}
+
+#[test]
+fn labels_in_the_scalabel_form_are_for_the_pictures_that_they_name_whatever_their_numbers() {
+    // Numbers from 1, as those of the files.
+    let frame = |number: usize| {
+        format!(
+            r#"{{"name": "frame_{number}.jpg", "videoName": "drive", "frameIndex": {number}, "labels": [
+            {{"category": "car", "box2d": {{"x1": 1, "y1": 2, "x2": 30, "y2": 40}}}}]}}"#
+        )
+    };
+    let text = format!("[{}, {}]", frame(3), frame(1));
+    let files = folder(&[("drive.json", &text)]);
+    let mut truth = for_model(&files, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+    let clip = attached_to_files(&mut truth, "drive", &ten_files()).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [0, 2]);
+    assert_eq!(labelled_frames(&clip), [0, 2]);
+}
+
+#[test]
+fn files_of_imagenet_vid_are_for_the_pictures_of_their_names() {
+    let cat = imagenet_vid(&[("n02121808", 10)]);
+    let files = folder(&[("val/a/0001.xml", &cat), ("val/a/0002.xml", &cat)]);
+    let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &["cat"]).unwrap();
+    let pictures = ["0001.jpg", "0002.jpg"].map(str::to_owned);
+    let clip = attached_to_files(&mut truth, "a", &pictures).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [0, 1]);
+}
+
+#[test]
+fn labels_of_which_some_are_for_no_picture_of_the_clip_are_refused() {
+    for (names, said) in [
+        (
+            ["frame_1.jpg", "frame_11.jpg"],
+            "for other pictures, too: the clip has no v/frame_11.jpg",
+        ),
+        (
+            ["frame_1.jpg", "frame_1.png"],
+            "for the picture v/frame_1.png twice",
+        ),
+    ] {
+        let files = coco_of(&names);
+        let refused = attached_to_files(&mut cars_of(&files), "v", &ten_files()).unwrap_err();
+        assert!(refused.to_string().contains(said), "{refused}");
+    }
+}
+
+#[test]
+fn labels_that_name_no_picture_of_the_clip_are_in_the_order_of_their_names() {
+    let names = ["f_10.jpg", "f_9.jpg", "f_1.jpg"];
+    let files = coco_of(&names);
+    let video = attached(&mut cars_of(&files), "v", [640, 360], 3).unwrap();
+    let other_names = ten_files();
+    let pictures = attached_to_files(&mut cars_of(&files), "v", &other_names[..3]).unwrap();
+    for clip in [video, pictures] {
+        assert_eq!(frames_with_boxes(&clip), [2]);
+        assert_eq!(clip.unlabelled(), 0);
+    }
+}
+
+/// The error of ground truth that cannot judge a model of cars.
+fn unusable_truth(files: &TempDir, path: &str, format: TruthFormat) -> String {
+    for_model(files, path, format, &["car"]).unwrap_err().to_string()
+}
+
+#[test]
+fn ground_truth_without_a_box_is_refused_with_what_was_left_out() {
+    let images = r#""images": [{"id": 1, "width": 640, "height": 360}], "categories": [{"id": 3, "name": "car"}]"#;
+    let crowd = r#"[{"image_id": 1, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1}]"#;
+    let crowds = format!(r#"{{{images}, "annotations": {crowd}}}"#);
+    let no_labels = format!("{{{images}}}");
+    let trams = "0 1 Tram 0 0 -1.5 10 20 60 80\n";
+    let files = folder(&[
+        ("crowds.json", &crowds),
+        ("no_labels.json", &no_labels),
+        ("kitti/label_02/a.txt", trams),
+    ]);
+    for (path, format, said) in [
+        ("crowds.json", TruthFormat::Coco, "left out 1: marked as"),
+        (
+            "no_labels.json",
+            TruthFormat::Coco,
+            "pictures and no labels",
+        ),
+        ("kitti", TruthFormat::Kitti, "classes not mapped: Tram 1"),
+    ] {
+        let refused = unusable_truth(&files, path, format);
+        assert!(refused.contains(path), "{refused}");
+        assert!(refused.contains("to judge by"), "{refused}");
+        assert!(refused.contains(said), "{refused}");
+    }
+}
+
+#[test]
+fn boxes_in_shares_of_the_picture_are_refused() {
+    let labels = labels_of_drive(&[0]).replace(
+        r#""x1": 1, "y1": 2, "x2": 30, "y2": 40"#,
+        r#""x1": 0.1, "y1": 0.2, "x2": 1, "y2": 0.4"#,
+    );
+    let files = folder(&[("drive.json", &labels)]);
+    let refused = unusable_truth(&files, "drive.json", TruthFormat::Bdd100k);
+    assert!(refused.contains("normalised"), "{refused}");
 }

@@ -116,6 +116,50 @@ fn mot_challenge_excuses_its_distractors_and_vehicles_only_for_vehicles() {
     assert_eq!(read("MOT20-01"), with_vehicles);
 }
 
+/// The classes of the first frame of a sequence with these rows and files beside them, and the numbers or names of
+/// classes that are left out.
+fn mot_classes(rows: &str, beside: &[(&str, &str)]) -> (Vec<u16>, Vec<String>) {
+    let mut files = vec![("seqinfo.ini", SEQINFO), ("gt/gt.txt", rows)];
+    files.extend(beside);
+    let files = folder(&files);
+    let data = mot_challenge::read(files.path()).unwrap();
+    let objects = data.clips[0].truth.as_ref().unwrap()[0].iter();
+    let classes = objects.map(|object| object.class.0).collect();
+    let left_out = data.report.unmapped_classes.into_keys().collect();
+    (classes, left_out)
+}
+
+#[test]
+fn the_classes_that_a_sequence_names_itself_are_read_by_their_names() {
+    let row = |class: usize| format!("1,{class},11,21,10,20,1,{class},1\n");
+    let rows: String = [1, 2, 3, 14].map(row).concat();
+    let names = "2 Bus\n\n14 traffic cone\n";
+    let found = mot_classes(&rows, &[("classes.txt", names)]);
+    // Pedestrian, bus, and MOTChallenge's car.
+    assert_eq!(found, (vec![0, 5, 2], vec!["traffic cone".to_owned()]));
+    let of_cvat = mot_classes(&rows, &[("gt/labels.txt", "car\ntruck\n")]);
+    assert_eq!(of_cvat, (vec![2, 7, 2], vec!["14".to_owned()]));
+}
+
+#[test]
+fn a_name_of_a_class_without_its_number_is_refused() {
+    let files = folder(&[
+        ("seqinfo.ini", SEQINFO),
+        ("gt/gt.txt", ""),
+        ("classes.txt", "car\n"),
+    ]);
+    let parts = ["classes.txt:1: `car` is no number and name"];
+    assert_refused(mot_challenge::read(files.path()), &parts);
+}
+
+#[test]
+fn a_whole_number_in_the_eighth_of_ten_columns_is_a_class_and_a_place_in_the_world_is_none() {
+    let row = |eighth: &str| format!("1,1,11,21,10,20,1,{eighth},1,0\n");
+    let rows: String = ["3", "-1", "3.5", "7.0", "-2.25"].map(row).concat();
+    let found = mot_classes(&rows, &[]);
+    assert_eq!(found, (vec![2, 0, 0, 0, 0], Vec::new()));
+}
+
 #[test]
 fn visdrone_marks_regions_others_and_objects_of_score_zero() {
     let rows = "1,0,0,0,100,50,0,0,0,0\n1,1,10,20,30,40,1,5,0,0\n2,2,10,20,30,40,0,1,0,0\n\
@@ -133,6 +177,17 @@ fn visdrone_marks_regions_others_and_objects_of_score_zero() {
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!(regions, [1, 2]);
     assert_eq!(data.report.unmapped_classes["tricycle"], 1);
+}
+
+#[test]
+fn types_of_kitti_are_read_in_capitals_or_not() {
+    let label = "0 1 car 0 0 -1.5 10 20 60 80\n0 2 PEDESTRIAN 0 0 -1.5 10 20 60 80\n\
+                 0 -1 dontcare -1 -1 -10 1 1 5 5\n";
+    let files = folder(&[("label_02/0007.txt", label)]);
+    let data = kitti::read(files.path()).unwrap();
+    assert_eq!(data.clips[0].truth_boxes(), 2);
+    assert_eq!(data.clips[0].ignored[0].len(), 1);
+    assert!(data.report.unmapped_classes.is_empty());
 }
 
 /// A sequence of KITTI tracking whose detections reach a frame further than its labels.
@@ -248,6 +303,59 @@ fn predictions_of_bdd100k_without_scores_are_refused() {
 }
 
 #[test]
+fn a_list_of_something_else_than_frames_is_refused() {
+    let other_lists = [
+        (
+            r#"[{"id": 0, "annotations": [], "data": {"image": "1.jpg"}}]"#,
+            "entry 0 has neither `name` nor `frameIndex` nor `labels`",
+        ),
+        (
+            r#"[{"name": "1.jpg", "labels": null}, {"token": "a"}]"#,
+            "entry 1 has neither",
+        ),
+        (
+            r#"[{"name": "1.jpg", "frames": [{"objects": []}]}]"#,
+            "no frame has `labels`",
+        ),
+    ];
+    for (text, said) in other_lists {
+        let read = bdd100k(Some(text), NO_PREDICTIONS, Rules::Benchmark);
+        assert_refused(read, &["gt.json: this is not a list of frames", said]);
+    }
+}
+
+#[test]
+fn labels_of_bdd100k_without_a_box_are_counted_with_the_first_place() {
+    let label = r#"{"category": "car", "poly2d": []}"#;
+    let frame = |name: usize| format!(r#"{{"name": "{name}.jpg", "labels": [{label}, {label}]}}"#);
+    let text = format!("[{}, {}]", frame(1), frame(2));
+    let data = bdd100k(Some(&text), NO_PREDICTIONS, Rules::Benchmark).unwrap();
+    let (count, first) = &data.report.left_out[&LeftOut::NoBox];
+    assert_eq!(*count, 4);
+    assert!(first.ends_with("frame 1.jpg, label 0"), "{first}");
+}
+
+#[test]
+fn frames_of_bdd100k_without_an_index_are_in_the_order_of_their_names_in_each_video() {
+    let frame = |video: &str, name: &str, labels: &str| {
+        format!(r#"{{"name": "{name}", "videoName": "{video}", "labels": [{labels}]}}"#)
+    };
+    let car = r#"{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}"#;
+    let nothing = "";
+    let frames = [
+        frame("a", "f_10.jpg", car),
+        frame("b", "f_3.jpg", nothing),
+        frame("a", "f_2.jpg", nothing),
+        frame("b", "f_4.jpg", car),
+    ];
+    let text = format!("[{}]", frames.join(","));
+    let data = bdd100k(Some(&text), NO_PREDICTIONS, Rules::Benchmark).unwrap();
+    let boxes = |clip: &Clip| clip.truth.iter().flatten().map(Vec::len).collect::<Vec<_>>();
+    let of_clips: Vec<_> = data.clips.iter().map(boxes).collect();
+    assert_eq!(of_clips, [[0, 1], [0, 1]]);
+}
+
+#[test]
 fn a_frame_of_bdd100k_that_occurs_twice_is_refused() {
     let twice = OLD_SPELLING.replace("\"index\": 2", "\"index\": 0");
     let repeated = bdd100k(Some(&twice), NO_PREDICTIONS, Rules::Paper);
@@ -352,4 +460,31 @@ fn inverted_boxes_and_other_classes_of_coco_are_counted() {
 fn a_result_of_coco_on_an_image_that_is_not_listed_is_refused() {
     let lost = COCO_RESULTS.replace("\"image_id\": 4", "\"image_id\": 77");
     assert_refused(coco_set(&lost), &["image 77"]);
+}
+
+#[test]
+fn an_id_that_belongs_to_two_entries_of_coco_is_refused_with_both() {
+    for (own, other, said) in [
+        (
+            r#""id": 4, "file_name""#,
+            r#""id": 5, "file_name""#,
+            "the id 5 belongs to two images: v/2.jpg and v/1.jpg",
+        ),
+        (
+            r#""id": 9, "name""#,
+            r#""id": 3, "name""#,
+            "the id 3 belongs to two categories: car and boat",
+        ),
+        (
+            r#""id": 6, "image_id""#,
+            r#""id": 2, "image_id""#,
+            "the id 2 belongs to two annotations: 1 and 3",
+        ),
+    ] {
+        let set = COCO_SET.replace(own, other);
+        let files = folder(&[("set.json", &set)]);
+        let no_results = None;
+        let read = coco::read(&files.path().join("set.json"), no_results);
+        assert_refused(read, &["set.json: ", said]);
+    }
 }

@@ -65,6 +65,21 @@ fn a_recording_that_is_written_and_read_again_is_the_same_to_the_last_bit() {
 }
 
 #[test]
+fn an_object_keeps_its_number_in_a_recording_however_large_it_is() {
+    let numbers = [Some(9_223_372_036_854_775_808), Some(u64::MAX), None];
+    let rows =
+        "0,0,0,5,5,2,9223372036854775808\n1,0,0,5,5,2,18446744073709551615\n2,0,0,5,5,2,-1\n";
+    let read = recorded(INDEX, NO_ROWS, Some(rows)).unwrap();
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &read.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
+    for data in [read, again] {
+        let objects = data.clips[0].truth.as_ref().unwrap().iter().flatten();
+        assert!(objects.map(|object| object.object).eq(numbers));
+    }
+}
+
+#[test]
 fn clips_that_are_written_one_by_one_are_there_after_each() {
     let clip = |name: &str| Clip {
         detections: Some(vec![Vec::new(); 3]),
@@ -173,6 +188,13 @@ fn a_table_with_another_header_is_refused() {
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
     let header = "a.csv:1: the header is `frame,x`";
     assert_refused(recorded::read(files.path()), &[header]);
+}
+
+#[test]
+fn a_table_without_a_line_is_told_that_its_header_is_missing() {
+    let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "")]);
+    let missing = "a.csv:1: the header is missing, expected `frame,x1";
+    assert_refused(recorded::read(files.path()), &[missing]);
 }
 
 #[test]
