@@ -162,6 +162,12 @@ impl Corners {
         }
     }
 
+    /// True if `other`, in the same coordinates, overlaps this box or touches it.
+    #[inline]
+    pub(crate) fn meets(self, other: Self) -> bool {
+        self.x1 <= other.x2 && self.x2 >= other.x1 && self.y1 <= other.y2 && self.y2 >= other.y1
+    }
+
     /// Returns the area shared with `other`, in the same coordinates.
     #[inline]
     pub fn shared_area(self, other: Self) -> f64 {

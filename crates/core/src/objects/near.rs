@@ -36,7 +36,7 @@ impl NearBoxes {
         }
     }
 
-    /// False if there are so few boxes that [`visit`](Self::visit) visits all of them.
+    /// False if there are so few boxes that [`visit`](Self::visit) looks at each of them.
     #[inline]
     pub(crate) fn is_selective(&self) -> bool {
         self.boxes.len() >= WORTH_WHILE
@@ -47,7 +47,11 @@ impl NearBoxes {
     #[inline]
     pub(crate) fn visit(&self, area: Corners, mut visit: impl FnMut(u32, Corners)) {
         if !self.is_selective() {
-            self.boxes.iter().for_each(|(corners, index)| visit(*index, *corners));
+            for (corners, index) in &self.boxes {
+                if corners.meets(area) {
+                    visit(*index, *corners);
+                }
+            }
             return;
         }
         let (left, right) = self.horizontal.sets(area.x1, area.x2);
