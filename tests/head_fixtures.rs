@@ -101,7 +101,7 @@ fn the_boxes_agree_with_the_vendors_code(
     let found = match fitting.only(&signature) {
         Some(found) => found,
         None => {
-            let told = fitting.by_values(&signature, input, &views);
+            let told = fitting.by_values(&signature, input, None, &views);
             told.expect("told by its values")
         }
     };

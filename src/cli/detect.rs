@@ -141,10 +141,7 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
         eprintln!("albireo: {line}");
     }
     if let Some(doubt) = network.doubt() {
-        bail!(
-            "nothing that the model finds is possible: {doubt}. Choose another head, or list the columns of its output \
-             (--head 'columns=x1 y1 x2 y2 score class')"
-        );
+        bail!("nothing that the model finds is possible: {doubt}");
     }
     ensure!(
         unusable == 0,

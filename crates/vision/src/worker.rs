@@ -128,6 +128,8 @@ enum Event<M: Model> {
     Outcome(Outcome<M>),
     /// The successor is ready, cannot be built, or is still being built.
     Successor,
+    /// A picture that was announced does not come.
+    CalledOff,
     /// The time limit of the wait has come.
     Time,
 }
@@ -141,6 +143,7 @@ struct Task<M: Model> {
     facts: Option<M::Facts>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
+    coming: Coming,
     /// True once the worker is stopped: every request is refused.
     is_stopping: bool,
     provider: ExecutionProvider,
@@ -266,6 +269,7 @@ impl<M: Model> Task<M> {
                 self.take(request);
                 Ok(Event::Request)
             }
+            () = self.coming.called_off() => Ok(Event::CalledOff),
             told = told_by(&mut self.successor) => {
                 self.hear_of_successor(told);
                 Ok(Event::Successor)
@@ -383,7 +387,12 @@ impl<M: Model> Task<M> {
                     }
                     return Ok(result);
                 }
-                Ok(Event::Outcome(Outcome::Built(_)) | Event::Request | Event::Successor) => {}
+                Ok(
+                    Event::Outcome(Outcome::Built(_))
+                    | Event::Request
+                    | Event::CalledOff
+                    | Event::Successor,
+                ) => {}
                 Ok(Event::Time) if is_late => {
                     let seconds = started.elapsed().as_secs();
                     return Err(self.stuck(format!("has not come back for {seconds} s")));
@@ -510,7 +519,10 @@ impl<M: Model> Task<M> {
                     return Ok(Ok(facts));
                 }
                 Event::Outcome(Outcome::Built(Err(error))) => return Ok(Err(error)),
-                Event::Outcome(Outcome::Ran(_)) | Event::Request | Event::Successor => {}
+                Event::Outcome(Outcome::Ran(_))
+                | Event::Request
+                | Event::CalledOff
+                | Event::Successor => {}
                 Event::Time => {
                     warn!(
                         worker = self.settings.name,

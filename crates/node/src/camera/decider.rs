@@ -112,10 +112,15 @@ impl Decider {
         } = fetched;
         let waiting = self.pending.as_ref().filter(|frame| frame.incoming.index == index);
         let need = waiting.map(|frame| frame.need);
+        let picture = waiting.map(|frame| frame.head.picture);
         let mut decided = match (need, result) {
             // For a frame that was given up. Another one may be waiting.
             (None, _) => None,
-            (Some(need), Ok(())) => self.give(evidence.fetched(need), outcome).map(Ok),
+            (Some(need), Ok(())) => {
+                // The run that it could have joined may have begun while its picture was examined.
+                self.policy.set_join(picture.map_or(0.0, |size| evidence.join(size)));
+                self.give(evidence.fetched(need), outcome).map(Ok)
+            }
             (Some(_), Err(fault)) => self.broken(fault, outcome),
         };
         if let Some(Ok(frame)) = &mut decided {

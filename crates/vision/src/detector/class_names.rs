@@ -42,8 +42,17 @@ pub(super) fn count(configured: Option<&ClassNames>, metadata: &Metadata) -> Opt
     Some(names.len())
 }
 
+/// The names of a model's classes.
+#[derive(Debug)]
+pub(super) struct ModelNames {
+    /// By class number; an empty name is a class that does not occur.
+    pub(super) names: Vec<String>,
+    /// What was assumed of them, in words.
+    pub(super) assumed: Option<String>,
+}
+
 /// Returns the names of the model's classes: the configured ones, else those of its metadata, else the list that
-/// belongs to its head. An empty name is a class that does not occur.
+/// belongs to its head.
 ///
 /// # Errors
 /// If there are no names, too few or too many, or they cannot be read.
@@ -51,12 +60,24 @@ pub(super) fn read(
     configured: Option<&ClassNames>,
     metadata: &Metadata,
     head: &Head,
-) -> Result<Vec<String>, StartError> {
+) -> Result<ModelNames, StartError> {
     let wrong = |reason: String| StartError::configuration("detector.class_names", reason);
-    let Given { names, source } = given(configured, metadata).map_err(wrong)?;
-    let Some(names) = names else {
-        return own_list(head).ok_or_else(|| wrong(no_names(head)));
+    let Given {
+        names,
+        source,
+        begins_empty,
+    } = given(configured, metadata).map_err(wrong)?;
+    let Some(mut names) = names else {
+        let names = own_list(head).ok_or_else(|| wrong(no_names(head)))?;
+        return Ok(ModelNames {
+            names,
+            assumed: None,
+        });
     };
+    // The empty line is that of the class which has no name.
+    if begins_empty && head.classes == Some(names.len() + 1) {
+        names.insert(0, String::new());
+    }
     let count = names.len();
     if let Some(classes) = head.classes
         && !head.fits_names(count)
@@ -70,11 +91,19 @@ pub(super) fn read(
     if count > usize::from(u16::MAX) {
         return Err(wrong(format!("{count} names are too many")));
     }
-    Ok(names)
+    let assumed = if begins_empty && head.classes.is_none() {
+        Some(format!(
+            "{source} begins with an empty line, which is passed over: if class 0 of the model does not occur, give \
+             detector.class_names as a list that begins with an empty name"
+        ))
+    } else {
+        no_object(head, count)
+    };
+    Ok(ModelNames { names, assumed })
 }
 
 /// What is assumed of a model of the DETR family with one class more than there are names; `None` for any other.
-pub(super) fn assumed(head: &Head, names: usize) -> Option<String> {
+fn no_object(head: &Head, names: usize) -> Option<String> {
     if head.classes? != names + 1 {
         return None;
     }
@@ -103,6 +132,26 @@ struct Given {
     /// `None` if nothing names the classes.
     names: Option<Vec<String>>,
     source: String,
+    /// As in [`FileNames`].
+    begins_empty: bool,
+}
+
+/// The names of a file.
+struct FileNames {
+    names: Vec<String>,
+    /// True if an empty line stands before the first name, and nothing in the file says whether it is that of a class 0
+    /// which does not occur.
+    begins_empty: bool,
+}
+
+impl FileNames {
+    /// Names of which each has its place.
+    fn in_places(names: Vec<String>) -> Self {
+        Self {
+            names,
+            begins_empty: false,
+        }
+    }
 }
 
 /// The names that are configured, else those of the metadata.
@@ -111,16 +160,18 @@ fn given(configured: Option<&ClassNames>, metadata: &Metadata) -> Result<Given, 
         Some(ClassNames::List(names)) => Ok(Given {
             names: Some(names.clone()),
             source: "the list".to_owned(),
+            begins_empty: false,
         }),
         Some(ClassNames::File(path)) => {
             let source = path.display().to_string();
-            let names = match listed_as(path) {
-                Some(names) => names,
+            let read = match listed_as(path) {
+                Some(names) => FileNames::in_places(names),
                 None => read_file(path).map_err(|error| format!("{source}: {error}"))?,
             };
             Ok(Given {
-                names: Some(names),
+                names: Some(read.names),
                 source,
+                begins_empty: read.begins_empty,
             })
         }
         None => {
@@ -132,6 +183,7 @@ fn given(configured: Option<&ClassNames>, metadata: &Metadata) -> Result<Given, 
             Ok(Given {
                 names,
                 source: "its metadata".to_owned(),
+                begins_empty: false,
             })
         }
     }
@@ -149,7 +201,7 @@ pub(super) fn listed_as(path: &Path) -> Option<Vec<String>> {
     }
 }
 
-fn read_file(path: &Path) -> Result<Vec<String>, String> {
+fn read_file(path: &Path) -> Result<FileNames, String> {
     let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
     of_file(&bytes)
 }
@@ -169,34 +221,41 @@ fn own_list(head: &Head) -> Option<Vec<String>> {
 }
 
 /// The names of a file, as programs and editors write them: one per line, perhaps numbered, or a dictionary or a list as
-/// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments. An empty first
-/// line is the class 0 of a model that does not use it.
-fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
+/// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments. An empty line
+/// before names that are numbered from 1 is the class 0 of a model that does not use it.
+fn of_file(bytes: &[u8]) -> Result<FileNames, String> {
     let decoded = text_of(bytes)?;
     let text = decoded.trim_start_matches('\u{feff}').trim_end();
     if text.trim_start().starts_with(['{', '[']) {
-        return metadata_names(text.trim_start());
+        return metadata_names(text.trim_start()).map(FileNames::in_places);
     }
     if let Some(other) = other_format(text) {
         return Err(other.to_owned());
     }
     let mut names = Vec::new();
+    let mut begins_empty = false;
     for (line, number) in text.lines().zip(1..) {
         let name = line.trim();
         if name.starts_with('#') {
             continue;
         }
-        if name.is_empty() && number > 1 {
+        if !name.is_empty() {
+            names.push(name);
+        } else if names.is_empty() {
+            begins_empty = true;
+        } else {
             return Err(format!("line {number} is empty"));
         }
-        names.push(name);
     }
-    if names.iter().all(|name| name.is_empty()) {
+    if names.is_empty() {
         return Err("it is empty; one name per line is needed".to_owned());
     }
-    match numbering(&names) {
-        Numbering::None => Ok(names.into_iter().map(str::to_owned).collect()),
-        Numbering::Of(numbered) => Ok(by_number(&numbered)),
+    match numbering(&names, begins_empty) {
+        Numbering::None => Ok(FileNames {
+            names: names.into_iter().map(str::to_owned).collect(),
+            begins_empty,
+        }),
+        Numbering::Of(numbered) => Ok(FileNames::in_places(by_number(&numbered))),
         Numbering::Unclear(reason) => Err(reason.to_owned()),
     }
 }
@@ -211,12 +270,14 @@ fn other_format(text: &str) -> Option<&'static str> {
     }
     if has_line("item {") || has_line("item{") {
         return Some(
-            "it is a label map of TensorFlow (`item {`): write the names into a file of their own, one per line, after an \
-             empty line for the class 0, which does not occur",
+            "it is a label map of TensorFlow (`item {`): write the names into a file of their own, one per line behind its \
+             number (`1 person`), after an empty line for the class 0, which does not occur",
         );
     }
     if text.contains(',') && text.lines().count() == 1 && numbered_name(text).is_none() {
-        return Some("it is one line with commas: one name per line is needed");
+        return Some(
+            "it is one line with commas: one name per line is needed; if it is one name, write it as a list: [\"a, b\"]",
+        );
     }
     None
 }
@@ -237,11 +298,9 @@ enum Numbering<'a> {
     Unclear(&'static str),
 }
 
-/// What the numbers at the starts of these lines are, of which the first may be empty: those of the classes if every line
-/// has one, and they grow from the first class on.
-fn numbering<'a>(lines: &[&'a str]) -> Numbering<'a> {
-    let has_empty_line = lines.first().is_some_and(|line| line.is_empty());
-    let names = if has_empty_line { &lines[1..] } else { lines };
+/// What the numbers at the starts of these lines are: those of the classes if every line has one, and they grow from the
+/// first class on, which is 1 only behind an empty line.
+fn numbering<'a>(names: &[&'a str], begins_empty: bool) -> Numbering<'a> {
     let Some(numbered) = growing(names) else {
         let below_first = names.get(1..).and_then(growing).unwrap_or_default();
         return match below_first.first() {
@@ -253,7 +312,7 @@ fn numbering<'a>(lines: &[&'a str]) -> Numbering<'a> {
     };
     match numbered.first().map(|first| first.number) {
         Some(0) => Numbering::Of(numbered),
-        Some(1) if has_empty_line => Numbering::Of(numbered),
+        Some(1) if begins_empty => Numbering::Of(numbered),
         Some(1) => Numbering::Unclear(
             "its lines are numbered from 1, and the classes of most models from 0: leave the numbers out, or, if the \
              model's begin with 1 as well, let the file begin with an empty line; if the numbers are parts of the names, \
@@ -356,7 +415,15 @@ mod tests {
 
     /// The names of a model that nothing names, by the head and the number of classes.
     fn unnamed(name: HeadName, classes: Option<usize>) -> Result<Vec<String>, StartError> {
-        read(None, &Metadata::default(), &head(name, classes))
+        read(None, &Metadata::default(), &head(name, classes)).map(|read| read.names)
+    }
+
+    fn names_in(text: &[u8]) -> Vec<String> {
+        of_file(text).unwrap().names
+    }
+
+    fn reason_against(text: &[u8]) -> String {
+        of_file(text).err().unwrap()
     }
 
     #[test]
@@ -396,22 +463,20 @@ mod tests {
             (Some(&own), &broken, Yolo, Some(2), ["Auto", "Bus"]),
             (Some(&lines), &two, Yolo, Some(2), ["Auto", "traffic light"]),
         ] {
-            assert_eq!(
-                read(given, metadata, &head(name, classes)).unwrap(),
-                expected
-            );
+            let read = read(given, metadata, &head(name, classes)).unwrap();
+            assert_eq!(read.names, expected);
         }
     }
 
     #[test]
     fn a_class_that_is_taken_for_no_object_is_said_with_the_way_out() {
         let three = head(HeadName::Detr, Some(3));
-        let words = assumed(&three, 2).unwrap();
+        let words = no_object(&three, 2).unwrap();
         for part in ["class 2, the last of 0 to 2", "detector.class_names"] {
             assert!(words.contains(part), "{words}");
         }
-        assert_eq!(assumed(&three, 3), None);
-        assert_eq!(assumed(&head(HeadName::EndToEnd, None), 2), None);
+        assert_eq!(no_object(&three, 3), None);
+        assert_eq!(no_object(&head(HeadName::EndToEnd, None), 2), None);
     }
 
     #[test]
@@ -448,35 +513,53 @@ mod tests {
             b"{0: 'person', 1: 'car'}",
             &utf16,
         ] {
-            assert_eq!(of_file(bytes).unwrap(), ["person", "car"]);
+            assert_eq!(names_in(bytes), ["person", "car"]);
         }
     }
 
     #[test]
     fn a_name_may_begin_with_a_number_that_is_not_its_place() {
-        assert_eq!(of_file(b"4x4\n18-wheeler").unwrap(), ["4x4", "18-wheeler"]);
+        assert_eq!(names_in(b"4x4\n18-wheeler"), ["4x4", "18-wheeler"]);
     }
 
     #[test]
-    fn an_empty_first_line_is_the_class_0_of_a_model_whose_numbers_begin_with_1() {
-        for text in [
-            "\nperson\ncar\n",
-            "\n1 person\n2 car",
-            "\u{feff}\r\nperson\r\ncar",
+    fn an_empty_first_line_is_a_class_0_only_if_the_numbers_or_the_model_say_so() {
+        use HeadName::{EndToEnd, Yolo};
+        let plain = "\nperson\ncar\n";
+        let of_windows = "\u{feff}\r\nperson\r\ncar";
+        let two_lines = "\n\nperson\ncar";
+        let commented = "# classes\n\nperson\ncar";
+        let numbered = "# classes\n\n1 person\n2 car";
+        let both = &["person", "car"][..];
+        let all = &["", "person", "car"][..];
+        for (text, name, classes, expected, is_said) in [
+            (plain, Yolo, Some(3), all, false),
+            (plain, Yolo, Some(2), both, false),
+            (plain, EndToEnd, None, both, true),
+            (of_windows, EndToEnd, None, both, true),
+            (two_lines, EndToEnd, None, both, true),
+            (commented, EndToEnd, None, both, true),
+            (commented, Yolo, Some(3), all, false),
+            (numbered, EndToEnd, None, all, false),
         ] {
-            assert_eq!(of_file(text.as_bytes()).unwrap(), ["", "person", "car"]);
+            let (_file, lines) = file_with(text);
+            let read = read(Some(&lines), &Metadata::default(), &head(name, classes)).unwrap();
+            assert_eq!(read.names, expected, "{text:?} {name:?}");
+            let words = read.assumed.unwrap_or_default();
+            let found = words.contains("begins with an empty line, which is passed over");
+            assert_eq!(found, is_said, "{text:?} {name:?}: {words}");
         }
     }
 
     #[test]
     fn names_with_numbers_from_0_on_are_in_the_places_of_their_numbers() {
         for text in ["0  person\n2  car", "\n0 person\n2 car", "0,person\n2,car"] {
-            assert_eq!(of_file(text.as_bytes()).unwrap(), ["person", "", "car"]);
+            assert_eq!(names_in(text.as_bytes()), ["person", "", "car"]);
         }
-        assert_eq!(of_file(b"0,plate").unwrap(), ["plate"]);
+        assert_eq!(names_in(b"0,plate"), ["plate"]);
         // Names alone, by their meaning.
         for lines in [["2 door", "4 door"], ["10", "20"], ["a", "b, c"]] {
-            assert_eq!(of_file(lines.join("\n").as_bytes()).unwrap(), lines);
+            assert_eq!(names_in(lines.join("\n").as_bytes()), lines);
         }
     }
 
@@ -490,16 +573,17 @@ mod tests {
             ("nc: 2\nnames: ['person', 'car']", "YAML"),
             ("item {\n  id: 1\n  name: 'person'\n}", "label map"),
             ("person,bicycle,car\n", "commas"),
+            ("tank, military", "if it is one name, write it as a list"),
             ("\n# nothing\n", "empty"),
         ] {
-            let error = of_file(text.as_bytes()).unwrap_err();
+            let error = reason_against(text.as_bytes());
             assert!(error.contains(said), "{text:?}: {error}");
         }
     }
 
     #[test]
     fn a_class_file_that_is_no_text_is_an_error() {
-        let error = of_file(b"\xff\x00\x01").unwrap_err();
+        let error = reason_against(b"\xff\x00\x01");
         assert!(error.contains("not text"), "{error}");
     }
 
@@ -508,11 +592,9 @@ mod tests {
         for (text, line) in [
             ("car\n\nbus\n", 2),
             ("# classes\nperson\n\ncar", 3),
-            ("# classes\n\nperson", 2),
-            ("\n\nperson", 2),
             ("\nperson\n# a comment\n\ncar", 4),
         ] {
-            let error = of_file(text.as_bytes()).unwrap_err();
+            let error = reason_against(text.as_bytes());
             assert_eq!(error, format!("line {line} is empty"), "{text:?}");
         }
     }
@@ -527,6 +609,7 @@ mod tests {
                 &head(HeadName::EndToEnd, None),
             )
             .unwrap()
+            .names
         };
         assert_eq!(names("coco")[2], "car");
         assert_eq!(names("coco91")[3], "car");

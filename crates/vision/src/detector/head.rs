@@ -1,5 +1,6 @@
 //! Heads: pure functions from a model's output tensors to candidates. The table in `families.rs` says what each head
-//! expects; `dense.rs`, `yolo.rs`, `columns.rs`, `detr.rs`, `pair.rs`, `rt_detr.rs` and `fastestdet.rs` are the arithmetic.
+//! expects; `dense.rs`, `yolo.rs`, `yolox.rs`, `columns.rs`, `detr.rs`, `pair.rs`, `rt_detr.rs` and `fastestdet.rs` are the
+//! arithmetic.
 
 mod columns;
 mod dense;
@@ -13,9 +14,13 @@ mod rt_detr;
 mod suppression;
 mod unread;
 mod yolo;
+mod yolox;
 
 pub use columns::ColumnList;
-pub use recognise::{Recognised, RecognisedHead, recognise, way_out};
+pub(in crate::detector) use families::is_cells;
+pub use recognise::{
+    LEAST_SCORE, Recognised, RecognisedHead, assumed_of_nothing, misfit, recognise, way_out,
+};
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, HeadSetting};
@@ -25,6 +30,7 @@ use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use families::{Family, family};
 use reading::Rows;
+use std::fmt;
 
 /// A box that a head has read, before suppression.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,10 +72,46 @@ pub struct Head {
 pub enum Evidence {
     /// They are what this head reads.
     For,
-    /// They are something else: the reason.
-    Against(String),
+    /// They are something else.
+    Against(Objection),
     /// They decide nothing.
     None,
+}
+
+impl Evidence {
+    /// Evidence against the head, with no other remedy than another head.
+    fn against(reason: impl Into<String>) -> Self {
+        Self::Against(Objection {
+            reason: reason.into(),
+            remedy: None,
+        })
+    }
+
+    /// Evidence against the head, with what reads the model or makes it readable.
+    fn against_with(reason: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Against(Objection {
+            reason: reason.into(),
+            remedy: Some(remedy.into()),
+        })
+    }
+}
+
+/// What a run says against a head; written with what to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Objection {
+    /// What its numbers are.
+    pub reason: String,
+    /// What to do about it, as a sentence without its full stop; `None` for what helps against any wrong head.
+    pub remedy: Option<String>,
+}
+
+impl fmt::Display for Objection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let general = "Set detector.head to another, or list the columns of its output, in their order: detector.head = { \
+                       columns = \"x1 y1 x2 y2 score class\" }";
+        let remedy = self.remedy.as_deref().unwrap_or(general);
+        write!(f, "{}. {remedy}", self.reason)
+    }
 }
 
 impl Head {

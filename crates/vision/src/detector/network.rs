@@ -1,6 +1,7 @@
 //! A detector network: ONNX Runtime session, preparation, head and class names, all on the caller's thread.
 
 use super::classes::Classes;
+use super::head::{Evidence, Head, Objection};
 use super::heads::Heads;
 use super::inputs::percent;
 use super::opening::{self, Among};
@@ -8,7 +9,9 @@ use super::precision::PrecisionProof;
 use super::reader::{Parts, Reader};
 use super::{Agreement, ModelInput, PreparedPicture, USUAL_PICTURE, class_names};
 use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, Preparation};
-use crate::onnx::{ExecutionProvider, NOT_RECORDED, OnnxSession, Signature, StartError};
+use crate::onnx::{
+    ExecutionProvider, NOT_RECORDED, OnnxSession, Signature, StartError, TensorView,
+};
 use crate::picture::{InputFormat, Picture};
 use crate::worker::{Model, RunError, WorkerInput, batch_sizes};
 use albireo_core::detection::Detection;
@@ -40,8 +43,8 @@ pub struct DetectorNetwork {
     confidence: f64,
     /// The number of consecutive runs with only impossible results.
     impossible_runs: u32,
-    /// What the last of these showed, if it showed that another head is needed.
-    doubt: Option<String>,
+    /// What the last of these said against the head, if it was asked.
+    doubt: Option<Objection>,
     /// What compares the provider with the CPU.
     proof: Option<PrecisionProof>,
 }
@@ -66,14 +69,13 @@ impl DetectorNetwork {
     ) -> Result<Self, StartError> {
         let begun = Instant::now();
         let (session, mut heads) = opening::open(config, among)?;
-        let names = class_names::read(
+        let read = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
             heads.largest(),
         )?;
-        let of_names = class_names::assumed(heads.largest(), names.len());
-        heads.assume(of_names);
-        let classes = Classes::new(&names, config)?;
+        heads.assume(read.assumed);
+        let classes = Classes::new(&read.names, config)?;
         let input = opening::model_input(config, session.signature(), heads.largest());
         let mut network = Self {
             session,
@@ -182,12 +184,13 @@ impl DetectorNetwork {
         Ok(())
     }
 
-    /// Finds the objects in one picture.
+    /// Finds the objects in one picture. If nothing in it is possible, [`doubt`](Self::doubt) says at once what that tells
+    /// against the head.
     ///
     /// # Errors
     /// If the run failed.
     pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
-        self.run(std::slice::from_ref(picture))?
+        self.find(std::slice::from_ref(picture), true)?
             .pop()
             .ok_or_else(|| RunError::Failed("the model returned no answer".to_owned()))
     }
@@ -234,9 +237,9 @@ impl DetectorNetwork {
         &self.reader.classes.left_out
     }
 
-    /// What the last pictures showed if nothing in them was possible and another head is needed.
-    pub fn doubt(&self) -> Option<&str> {
-        self.doubt.as_deref()
+    /// What the last pictures say against the head if nothing in them was possible.
+    pub fn doubt(&self) -> Option<&Objection> {
+        self.doubt.as_ref()
     }
 
     /// The head and the input, with what a picture of 16:9 leaves empty of it, and what was assumed of the model, in
@@ -329,7 +332,53 @@ impl Model for DetectorNetwork {
     }
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
-        let answered = self.answer(pictures)?;
+        // The cause is looked for when it is told: that passes over all numbers of the outputs.
+        let may_fail = self.impossible_runs.saturating_add(1) >= IMPOSSIBLE_RUNS;
+        self.find(pictures, may_fail)
+    }
+
+    fn provider(&self) -> ExecutionProvider {
+        self.session.provider()
+    }
+}
+
+/// The answer of one run.
+struct Answered {
+    found: Vec<Found>,
+    /// The number of pictures in which only impossible boxes were found.
+    impossible: usize,
+    /// What the first of these says against the head, if it was asked.
+    doubt: Option<Objection>,
+    /// True if a number is not finite where only impossible boxes were found, if that was asked.
+    overflows: bool,
+    to_compare: Vec<Compared>,
+}
+
+impl Answered {
+    /// Asks the outputs of a picture in which nothing is possible what that may come from.
+    fn ask(&mut self, head: &Head, outputs: &[TensorView<'_>], confidence: f64) {
+        let mut numbers = outputs.iter().flat_map(|output| output.values);
+        self.overflows |= numbers.any(|number| !number.is_finite());
+        if self.doubt.is_none()
+            && let Evidence::Against(objection) = head.evidence(outputs, confidence)
+        {
+            self.doubt = Some(objection);
+        }
+    }
+}
+
+/// A picture whose smallest input is to be compared with the largest.
+struct Compared {
+    /// Its place in the run.
+    picture: usize,
+    /// The boxes that were found in it.
+    boxes: Vec<Detection>,
+}
+
+impl DetectorNetwork {
+    /// Finds the objects in pictures of one size; with `asks`, what tells against the head where nothing is possible.
+    fn find(&mut self, pictures: &[PreparedPicture], asks: bool) -> Result<Vec<Found>, RunError> {
+        let answered = self.answer(pictures, asks)?;
         for largest in &answered.to_compare {
             self.compare(&pictures[largest.picture], &largest.boxes);
         }
@@ -347,9 +396,8 @@ impl Model for DetectorNetwork {
         self.doubt = answered.doubt;
         if self.impossible_runs >= IMPOSSIBLE_RUNS {
             let cause = match &self.doubt {
-                Some(reason) => format!(
-                    "{reason}: it is not a model of the head `{}`; set detector.head to another, or to the columns of \
-                     its output, {{ columns = \"x1 y1 x2 y2 score class\" }}",
+                Some(objection) => format!(
+                    "it is not a model of the head `{}`, as {objection}",
                     self.head().as_str()
                 ),
                 None if answered.overflows => {
@@ -367,40 +415,15 @@ impl Model for DetectorNetwork {
         Ok(answered.found)
     }
 
-    fn provider(&self) -> ExecutionProvider {
-        self.session.provider()
-    }
-}
-
-/// The answer of one run.
-struct Answered {
-    found: Vec<Found>,
-    /// The number of pictures in which only impossible boxes were found.
-    impossible: usize,
-    /// What shows that another head is needed.
-    doubt: Option<String>,
-    /// True if a number is not finite where only impossible boxes were found.
-    overflows: bool,
-    to_compare: Vec<Compared>,
-}
-
-/// A picture whose smallest input is to be compared with the largest.
-struct Compared {
-    /// Its place in the run.
-    picture: usize,
-    /// The boxes that were found in it.
-    boxes: Vec<Detection>,
-}
-
-impl DetectorNetwork {
     /// Runs the model on pictures of one size and reads its outputs.
-    fn answer(&mut self, pictures: &[PreparedPicture]) -> Result<Answered, RunError> {
+    fn answer(&mut self, pictures: &[PreparedPicture], asks: bool) -> Result<Answered, RunError> {
         let started = Instant::now();
         let inputs: Vec<_> = pictures.iter().map(PreparedPicture::tensor).collect();
         let format = self.preparation.format();
         let size = pictures.first().map_or(format.size, WorkerInput::size);
         let head = self.heads.at(size).map_err(RunError::Failed)?;
-        let least = Agreement::least_confidence(self.confidence);
+        let confidence = self.confidence;
+        let least = Agreement::least_confidence(confidence);
         let reader = &mut self.reader;
         let mut answered = Answered {
             found: Vec::with_capacity(pictures.len()),
@@ -427,9 +450,8 @@ impl DetectorNetwork {
                     head: start.elapsed(),
                 });
                 answered.impossible += usize::from(read.is_impossible);
-                answered.overflows |= read.overflows;
-                if answered.doubt.is_none() {
-                    answered.doubt = read.doubt;
+                if read.is_impossible && asks {
+                    answered.ask(head, of_picture, confidence);
                 }
                 if size == format.size && picture.inputs().compared(picture.source()).is_some() {
                     let boxes = reader

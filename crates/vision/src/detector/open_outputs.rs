@@ -2,18 +2,24 @@
 //! `[?, ?, ?]` unless something simplifies the graph, and call the last side of any output open because that of YOLO is; no
 //! head could be told from that, or a wrong one.
 
+use super::head::is_cells;
 use super::opening::{half, run_on_black};
 use crate::onnx::{OnnxSession, PictureInput, Signature, TensorSpec};
 use albireo_core::geometry::PictureSize;
 
 /// The model's signature; outputs with open sides get the size that runs show to be how many numbers belong together. How
-/// many rows there are may depend on the picture.
-pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u32) -> Signature {
+/// many rows there are may depend on the picture. The number of class names, if known, tells one side from the other.
+pub(super) fn measured(
+    session: &mut OnnxSession,
+    input: PictureInput,
+    stride: u32,
+    names: Option<usize>,
+) -> Signature {
     let signature = session.signature().clone();
     if signature.has_open_sides() {
         of_two_runs(session, signature, input, stride)
     } else {
-        of_one_run(session, signature, input)
+        of_one_run(session, signature, input, names)
     }
 }
 
@@ -22,6 +28,7 @@ fn of_one_run(
     session: &mut OnnxSession,
     mut signature: Signature,
     input: PictureInput,
+    names: Option<usize>,
 ) -> Signature {
     if !signature.outputs.iter().any(has_open_side) {
         return signature;
@@ -32,7 +39,7 @@ fn of_one_run(
     };
     for (output, found) in signature.outputs.iter_mut().zip(&shapes) {
         if has_open_side(output) {
-            keep_of_one_run(&mut output.shape, found, input.size);
+            keep_of_one_run(&mut output.shape, found, input.size, names);
         }
     }
     signature
@@ -81,14 +88,14 @@ fn shapes_at(session: &mut OnnxSession, input: PictureInput) -> Result<Vec<Vec<i
 
 /// Writes into the shape how many numbers belong together in a run of a model with an input of `size`: the last side, or the
 /// one before it if the last has a number for each cell. A map, whose sides are cells, is the same in every run.
-fn keep_of_one_run(shape: &mut [i64], found: &[i64], size: PictureSize) {
+fn keep_of_one_run(shape: &mut [i64], found: &[i64], size: PictureSize, names: Option<usize>) {
     if shape.len() != found.len() {
         return;
     }
-    // Every head with cells has at least one for 8x8 pixels. Final boxes are fewer.
-    let cells = i64::try_from(size.pixels() / 64).unwrap_or(i64::MAX);
     let kept = match *found {
-        [_, numbers, last] if last >= cells && numbers < last => 1..2,
+        // Either way; neither side changes.
+        [_, numbers, last] if numbers == last && is_cells(last, size) => 1..3,
+        [_, numbers, last] if has_column_per_cell(numbers, last, size, names) => 1..2,
         [_, _, _] => 2..3,
         _ => 1..found.len(),
     };
@@ -98,6 +105,21 @@ fn keep_of_one_run(shape: &mut [i64], found: &[i64], size: PictureSize) {
             shape[side] = found[side];
         }
     }
+}
+
+/// True if an output has a column for each cell and not a row for each box, by two of three signs: the first side is that of
+/// the numbers by the names of the classes, the last is that of the cells, and the last is longer.
+fn has_column_per_cell(first: i64, last: i64, size: PictureSize, names: Option<usize>) -> bool {
+    // A box, perhaps an objectness, and a score per class.
+    let are_numbers = |side: i64| {
+        let side = usize::try_from(side).ok();
+        names.is_some_and(|names| side == Some(4 + names) || side == Some(5 + names))
+    };
+    if are_numbers(last) && !are_numbers(first) {
+        return false;
+    }
+    let signs = [are_numbers(first), is_cells(last, size), first < last];
+    signs.iter().filter(|&&sign| sign).count() >= 2
 }
 
 /// True if a side beside that of the batch is open, in an output of rows or maps.
@@ -140,15 +162,37 @@ mod tests {
             ([1, -1, -1], [1, 0, 0], [1, -1, -1]),
         ] {
             let mut shape = declared;
-            keep_of_one_run(&mut shape, &found, PictureSize::new(640, 640));
+            keep_of_one_run(&mut shape, &found, PictureSize::new(640, 640), None);
             assert_eq!(shape, kept, "{declared:?} {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_names_tell_a_side_of_numbers_from_one_of_fewer_cells() {
+        // An input of 160x160 has 525 cells, one of 64x64 84, and one of 16x16 five, or six with the part of one.
+        for (side, names, found, kept) in [
+            (160, Some(1000), [1, 1004, 525], [1, 1004, -1]),
+            (160, Some(1000), [1, 525, 1004], [1, -1, 1004]),
+            (160, Some(80), [1, 84, 525], [1, 84, -1]),
+            (160, Some(80), [1, 525, 84], [1, -1, 84]),
+            // By strides that nobody knows.
+            (640, Some(80), [1, 84, 9000], [1, 84, -1]),
+            (64, Some(80), [1, 84, 84], [1, 84, 84]),
+            (16, Some(80), [1, 300, 6], [1, -1, 6]),
+            // As many final boxes as there are names and four.
+            (640, Some(296), [1, 300, 6], [1, -1, 6]),
+        ] {
+            let mut shape = [1, -1, -1];
+            keep_of_one_run(&mut shape, &found, PictureSize::new(side, side), names);
+            assert_eq!(shape, kept, "{side} {names:?} {found:?}");
         }
     }
 
     #[test]
     fn one_run_shows_all_sides_of_a_map() {
         let mut shape = [-1, -1, -1, -1];
-        keep_of_one_run(&mut shape, &[1, 85, 40, 40], PictureSize::new(640, 640));
+        let size = PictureSize::new(640, 640);
+        keep_of_one_run(&mut shape, &[1, 85, 40, 40], size, None);
         assert_eq!(shape, [-1, 85, 40, 40]);
     }
 }

@@ -1,7 +1,7 @@
 //! Opens a detector's model: finds the head that reads it, and the sizes that its input may have.
 
 use super::class_names;
-use super::head::{self, Evidence, Head, Recognised, RecognisedHead};
+use super::head::{self, Evidence, Head, LEAST_SCORE, Objection, Recognised, RecognisedHead};
 use super::heads::Heads;
 use super::inputs::STRIDE;
 use super::open_outputs;
@@ -12,9 +12,6 @@ use crate::onnx::{ShapeRange, Signature, StartError, StartErrorKind, TensorSpec,
 use crate::picture::{ColorOrder, Fit, InputFormat, InputTensor, ValueRange};
 use albireo_core::geometry::PictureSize;
 use tracing::{info, warn};
-
-/// Scores of a real run are above it, and unused rows are 0.
-const LEAST_SCORE: f64 = 1e-4;
 
 /// Which of the configured providers run a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -177,26 +174,23 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
     ))
 }
 
-/// Checks that no other range is configured for a model that takes bytes than theirs.
-fn check_range(config: &DetectorConfig, input: PictureInput) -> Result<(), StartError> {
-    match config.range {
-        Some(range) if input.takes_bytes && range != ValueRange::To255 => {
-            Err(StartError::configuration(
-                "detector.range",
-                format_args!(
-                    "is \"{}\", and {} takes bytes, from 0 to 255, and converts them itself: leave it out",
-                    range.as_str(),
-                    config.model.display()
-                ),
-            ))
-        }
-        _ => Ok(()),
+/// What is said of a configured range if the model takes bytes and not that range.
+fn ignored_range(config: &DetectorConfig, input: PictureInput) -> Option<String> {
+    let range = config.range?;
+    if !input.takes_bytes || range == ValueRange::To255 {
+        return None;
     }
+    Some(format!(
+        "detector.range = \"{}\" is ignored, as the model takes bytes, from 0 to 255, and converts them itself: leave it \
+         out",
+        range.as_str()
+    ))
 }
 
 /// The head for a model: the configured one, or the recognised one.
 fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads, StartError> {
-    let signature = known_signature(config, session);
+    let names = class_names::count(config.class_names.as_ref(), &session.signature().metadata);
+    let signature = known_signature(config, session, names);
     let name = config.head.name();
     let not_recognised = |reason: String| {
         StartError::new(
@@ -216,7 +210,6 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
         }
     };
     let first_run = |reason: String| StartError::first_run(&config.model, reason);
-    let names = class_names::count(config.class_names.as_ref(), &signature.metadata);
     if signature.lacks_size(config.input_size()) {
         // A model that no head reads is not asked for its size first.
         let any = signature.picture_input(Some(ANY_SIZE)).map_err(&does_not_fit)?;
@@ -227,22 +220,14 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
                 ))
             })?;
         }
-        return Err(StartError::configuration(
-            "detector.input_size",
-            format_args!(
-                "the input size of {} is open: set it to the columns and rows that the model was trained with, for \
-                 example [640, 640]",
-                config.model.display()
-            ),
-        ));
+        return Err(size_is_open(config));
     }
     let input = signature.picture_input(config.input_size()).map_err(&does_not_fit)?;
-    check_range(config, input)?;
     let mut assumed = None;
     let setting = match name {
         HeadName::Auto => {
             let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
-            let told = told(session, &signature, input, found).map_err(first_run)?;
+            let told = told(session, &signature, input, names, found).map_err(first_run)?;
             let recognised = told.map_err(&not_recognised)?;
             assumed = recognised.assumed;
             HeadSetting::Named(recognised.name)
@@ -257,20 +242,56 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
     )
     .map_err(&does_not_fit)?;
     bound.assume(assumed);
+    bound.assume(ignored_range(config, input));
+    let is_recognised = name == HeadName::Auto;
     let against = run_on_black(session, input, |outputs| {
-        let evidence = bound.largest().evidence(outputs, LEAST_SCORE);
-        let Evidence::Against(reason) = evidence else {
-            return None;
-        };
-        let way_out = head::way_out(&reason, &signature, input, names, outputs);
-        Some(format!("{reason}{way_out}"))
+        if is_recognised {
+            let assumed = head::assumed_of_nothing(setting.name(), &signature, outputs);
+            bound.assume(assumed);
+        }
+        let mut objection = objection(bound.largest(), is_recognised, &signature, input, outputs)?;
+        let way_out = || head::way_out(&signature, input, names, outputs);
+        objection.remedy.get_or_insert_with(way_out);
+        Some(objection)
     });
     match against.map_err(first_run)? {
-        Some(reason) => Err(does_not_fit(format!(
-            "its shapes are those of the head `{}`, but {reason}",
+        Some(objection) => Err(does_not_fit(format!(
+            "its shapes are those of the head `{}`, but {objection}",
             setting.name().as_str()
         ))),
         None => Ok(bound),
+    }
+}
+
+fn size_is_open(config: &DetectorConfig) -> StartError {
+    StartError::configuration(
+        "detector.input_size",
+        format_args!(
+            "the input size of {} is open: set it to the columns and rows that the model was trained with, for example \
+             [640, 640]",
+            config.model.display()
+        ),
+    )
+}
+
+/// What a run says against a head. One that was recognised must also fit the sizes of the run; whoever names a head may know
+/// better.
+fn objection(
+    head: &Head,
+    is_recognised: bool,
+    signature: &Signature,
+    input: PictureInput,
+    outputs: &[TensorView<'_>],
+) -> Option<Objection> {
+    if is_recognised && let Some(reason) = head::misfit(head.name, signature, input, outputs) {
+        return Some(Objection {
+            reason,
+            remedy: None,
+        });
+    }
+    match head.evidence(outputs, LEAST_SCORE) {
+        Evidence::Against(objection) => Some(objection),
+        Evidence::For | Evidence::None => None,
     }
 }
 
@@ -282,25 +303,30 @@ fn told(
     session: &mut OnnxSession,
     signature: &Signature,
     input: PictureInput,
+    names: Option<usize>,
     found: Recognised,
 ) -> Result<Result<RecognisedHead, String>, String> {
     match found.only(signature) {
         Some(recognised) => Ok(Ok(recognised)),
         None => run_on_black(session, input, |outputs| {
-            found.by_values(signature, input, outputs)
+            found.by_values(signature, input, names, outputs)
         }),
     }
 }
 
-/// What is known of the model, with what a run shows of outputs that it leaves open.
-fn known_signature(config: &DetectorConfig, session: &mut OnnxSession) -> Signature {
+/// What is known of the model with this number of class names, with what a run shows of outputs that it leaves open.
+fn known_signature(
+    config: &DetectorConfig,
+    session: &mut OnnxSession,
+    names: Option<usize>,
+) -> Signature {
     let declared = session.signature();
     let stride = declared.metadata.stride().unwrap_or(STRIDE);
     let input = declared
         .picture_input(config.input_size())
         .or_else(|_| declared.picture_input(Some(ANY_SIZE)));
     match input {
-        Ok(input) => open_outputs::measured(session, input, stride),
+        Ok(input) => open_outputs::measured(session, input, stride, names),
         Err(_) => declared.clone(),
     }
 }

@@ -10,6 +10,7 @@ use albireo_core::geometry::Corners;
 use parking_lot::Mutex;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
 use std::thread::{Builder, JoinHandle};
 use tracing::{info, warn};
 
@@ -208,10 +209,23 @@ impl PrecisionProof {
             return None;
         }
         let proof = self.clone();
-        let picture = picture.copied();
-        let found = found.to_vec();
-        match thread.spawn(move || proof.compare(provider, &picture, &found)) {
-            Ok(started) => Some(started),
+        let (give, take) = sync_channel::<ToCompare>(1);
+        let compare = move || {
+            if let Ok(ToCompare { picture, boxes }) = take.recv() {
+                proof.compare(provider, &picture, &boxes);
+            }
+        };
+        match thread.spawn(compare) {
+            Ok(started) => {
+                // Only now: while no thread can be had, no picture is copied.
+                let to_compare = ToCompare {
+                    picture: picture.copied(),
+                    boxes: found.to_vec(),
+                };
+                // It has room for one, and the thread takes it.
+                let _ = give.send(to_compare);
+                Some(started)
+            }
             Err(error) => {
                 *self.compared.lock() = None;
                 let failed = Precision::Failed(error.to_string());
@@ -242,6 +256,12 @@ impl PrecisionProof {
             Err(error) => Precision::Failed(error.to_string()),
         };
     }
+}
+
+/// What a provider found in a picture.
+struct ToCompare {
+    picture: PreparedPicture,
+    boxes: Vec<Detection>,
 }
 
 /// Why a provider could not be compared with the CPU.

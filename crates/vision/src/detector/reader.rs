@@ -2,7 +2,7 @@
 
 use super::DetectorConfig;
 use super::classes::{Classes, Reporting};
-use super::head::{Candidate, Evidence, Head, Suppression, keep_best, suppress};
+use super::head::{Candidate, Head, Suppression, keep_best, suppress};
 use crate::onnx::{TensorView, shape_text};
 use crate::picture::InputMapping;
 use crate::worker::RunError;
@@ -48,10 +48,6 @@ pub(super) struct ReadOut {
     pub(super) detections: Vec<Detection>,
     /// True if there are results and all of them are impossible.
     pub(super) is_impossible: bool,
-    /// What then shows that another head is needed.
-    pub(super) doubt: Option<String>,
-    /// True if a number of the output then is not finite, as of a model that overflows in half precision.
-    pub(super) overflows: bool,
 }
 
 /// Turns the model's output into detections.
@@ -100,15 +96,7 @@ impl Reader {
         let rejected = head
             .read(outputs, self.confidence, &mut self.candidates)
             .map_err(RunError::Failed)?;
-        let mut read = self.detections(head.overlaps_in(outputs), mapping, rejected);
-        if read.is_impossible {
-            let mut numbers = outputs.iter().flat_map(|output| output.values);
-            read.overflows = numbers.any(|number| !number.is_finite());
-            if let Evidence::Against(reason) = head.evidence(outputs, self.confidence) {
-                read.doubt = Some(reason);
-            }
-        }
-        Ok(read)
+        Ok(self.detections(head.overlaps_in(outputs), mapping, rejected))
     }
 
     /// The detections of reported classes of at least `confidence` in the output for one picture; counts nothing.
@@ -196,8 +184,6 @@ impl Reader {
         ReadOut {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
             detections,
-            doubt: None,
-            overflows: false,
         }
     }
 

@@ -323,7 +323,9 @@ fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
     let side = match (model, offered) {
         (-1, Some(side)) => i64::from(side),
         (-1, None) => {
-            return Err("its input size is open; name one in detector.input_size".to_owned());
+            let reason = "its input size is open; export it with a fixed size, or for a detector name one in \
+                          detector.input_size";
+            return Err(reason.to_owned());
         }
         (side, _) => side,
     };

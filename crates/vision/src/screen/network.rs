@@ -39,9 +39,13 @@ impl ScreenNetwork {
             engines: None,
         })?;
         let signature = session.signature();
-        let input = picture_input(signature).map_err(|reason| {
+        let does_not_fit = |reason: String| {
             StartError::does_not_fit(model, signature, ("screen", EXPECTED), reason)
-        })?;
+        };
+        let input = picture_input(signature).map_err(does_not_fit)?;
+        if !config.empty_is_second {
+            refuse_empty_second(signature).map_err(does_not_fit)?;
+        }
         let format = input.format(Fit::Stretch, config.color_order, ValueRange::ToOne);
         let mut network = Self { session, format };
         let failed = |error: &dyn Display| StartError::first_run(model, error);
@@ -85,6 +89,20 @@ fn picture_input(signature: &Signature) -> Result<PictureInput, String> {
     }
 }
 
+/// Refuses a model that names its second class `empty`: the detector would be skipped whenever something is in view.
+fn refuse_empty_second(signature: &Signature) -> Result<(), String> {
+    // Names that are missing or cannot be read say nothing of the order.
+    let Ok(Some(names)) = signature.metadata.class_names() else {
+        return Ok(());
+    };
+    match names.as_slice() {
+        [first, second] if second.trim().eq_ignore_ascii_case("empty") => {
+            Err(format!("its class 0 is `{first}`; the first must be empty"))
+        }
+        _ => Ok(()),
+    }
+}
+
 impl Model for ScreenNetwork {
     type Input = PreparedPicture;
     type Output = Logits;
@@ -101,5 +119,48 @@ impl Model for ScreenNetwork {
 
     fn provider(&self) -> ExecutionProvider {
         self.session.provider()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::onnx::{ElementType, TensorSpec, metadata};
+
+    fn spec(name: &str, shape: &[i64]) -> TensorSpec {
+        TensorSpec {
+            name: name.to_owned(),
+            element: ElementType::Float32,
+            shape: shape.to_vec(),
+        }
+    }
+
+    fn screen(input: &[i64], entries: &[(&str, &str)]) -> Signature {
+        Signature {
+            inputs: vec![spec("images", input)],
+            outputs: vec![spec("logits", &[1, 2])],
+            metadata: metadata(entries),
+        }
+    }
+
+    #[test]
+    fn a_screen_of_open_size_is_to_be_exported_with_a_fixed_one() {
+        for open in [&[1, 3, -1, -1][..], &[-1, 3, 64, -1], &[1, -1, -1, 3]] {
+            let refusal = picture_input(&screen(open, &[])).unwrap_err();
+            let expected = "its input size is open; export it with a fixed size";
+            assert!(refusal.starts_with(expected), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn a_screen_whose_second_class_is_empty_is_refused() {
+        let judged = |names| refuse_empty_second(&screen(&[1, 3, 64, 64], &[("names", names)]));
+        for swapped in ["{0: 'busy', 1: 'empty'}", r#"["busy", "Empty"]"#] {
+            let refusal = judged(swapped).unwrap_err();
+            assert_eq!(refusal, "its class 0 is `busy`; the first must be empty");
+        }
+        for fitting in ["{0: 'empty', 1: 'busy'}", "{0: 'a', 1: 'b'}", "None", "{"] {
+            assert_eq!(judged(fitting), Ok(()));
+        }
     }
 }

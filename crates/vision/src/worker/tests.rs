@@ -429,6 +429,24 @@ fn in_threes() -> WorkerSettings {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_picture_runs_as_soon_as_the_one_that_it_waits_for_is_called_off() {
+    let mut stage = stage(in_threes()).await;
+    // A run, so that it is known how long one takes.
+    let asked = stage.begin(0).await;
+    pass(Duration::from_millis(20)).await;
+    stage.answer(asked).await;
+    let called_off = stage.worker.coming.announce(Asker(1), PictureSize::new(1, 1));
+    let asked = stage.ask(0);
+    stage.until_waiting(1).await;
+    let before = Instant::now();
+    drop(called_off);
+    assert_eq!(stage.next_run().await, [0]);
+    assert_eq!(before.elapsed(), Duration::ZERO);
+    stage.end(Step::Answer);
+    assert!(asked.await.unwrap().is_ok());
+}
+
+#[tokio::test(start_paused = true)]
 async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     const WAITED: Duration = Duration::from_millis(500);
     const RUN: Duration = Duration::from_millis(20);

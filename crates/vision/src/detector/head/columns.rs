@@ -400,7 +400,6 @@ impl ReadOutputs for Finished {
     }
 
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
-        let against = |reason: &str| Evidence::Against(reason.to_owned());
         let mut total = 0_u32;
         let mut exchanged = 0_u32;
         let mut no_class = 0_u32;
@@ -418,18 +417,22 @@ impl ReadOutputs for Finished {
         if read.is_err() || total == 0 {
             Evidence::None
         } else if most(exchanged) {
-            against(
+            Evidence::against_with(
                 "its score and its class are exchanged: the column of the score holds whole numbers, and that of the class \
-                 parts of 1. List its columns with the two in each other's place",
+                 parts of 1",
+                "List its columns with the two in each other's place (for rows of six numbers detector.head = { columns = \
+                 \"x1 y1 x2 y2 class score\" })",
             )
         } else if most(no_class) {
-            against(
+            Evidence::against(
                 "the columns of its class or batch hold something else: no whole numbers, or no 0",
             )
         } else if most(no_score) {
-            against("the numbers in the column of its score are above 1")
+            Evidence::against("the numbers in the column of its score are above 1")
         } else if most(no_box) {
-            against("the right and lower sides of its boxes are not beyond the left and upper ones")
+            Evidence::against(
+                "the right and lower sides of its boxes are not beyond the left and upper ones",
+            )
         } else {
             Evidence::For
         }

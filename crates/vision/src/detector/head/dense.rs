@@ -1,19 +1,15 @@
 //! The head of models with a row per anchor: a box, perhaps an objectness, and a score per class, side by side. Most
 //! families differ only in where these are and in how the box is written. What their shapes do not tell, the values of
-//! each run do: sides in pixels, as parts of the input, or as logarithms; scores as probabilities or as logits.
+//! each run do: sides in pixels or as parts of the input; scores as probabilities or as logits.
 
 use super::reading::{
-    CORNERS_NOT_CENTRES, Rows, Unit, are_corners, around, best_class, candidate, cells, count,
-    elements, is_score, largest_number, unit,
+    Rows, Unit, are_corners, around, best_class, candidate, cells, corners_not_centres, count,
+    elements, is_score, unit,
 };
 use super::{Evidence, ReadOutputs};
 use crate::onnx::{TensorView, shape_text};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
-
-/// Logarithms of sides stay below it: e^8 cells are longer than any input. Sides in pixels do not: a model whose boxes
-/// are all of at most eight pixels finds nothing.
-const LARGEST_LOGARITHM: f64 = 8.0;
 
 /// The way in which four numbers are a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,13 +20,13 @@ pub(super) enum BoxForm {
     CentreInSides,
     /// Left, upper, right, lower.
     Corners,
-    /// As [`Centre`](Self::Centre), in pixels or as parts of the input's sides, or, not decoded, as offsets in cells and
-    /// logarithms of sides. The cells are those of these strides in sequence, each row by row.
-    PerhapsCells(&'static [u32]),
+    /// Not decoded: offsets of the centre in cells, and logarithms of sides. The cells are those of these strides in
+    /// sequence, each row by row.
+    InCells(&'static [u32]),
 }
 
 /// The parameters for reading the outputs.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Dense {
     /// The input.
     pub(super) size: PictureSize,
@@ -46,7 +42,7 @@ pub(super) struct Dense {
 }
 
 /// The values of one run, by anchor.
-struct Anchors<'a> {
+pub(super) struct Anchors<'a> {
     boxes: &'a [f32],
     box_row: usize,
     scores: &'a [f32],
@@ -69,7 +65,7 @@ impl<'a> Anchors<'a> {
         })
     }
 
-    fn sides(&self) -> impl Iterator<Item = [f64; 4]> {
+    pub(super) fn sides(&self) -> impl Iterator<Item = [f64; 4]> {
         self.rows().map(|anchor| anchor.sides.map(f64::from))
     }
 }
@@ -92,7 +88,7 @@ enum Writing {
 }
 
 impl Dense {
-    fn anchors<'a>(&self, outputs: &[TensorView<'a>]) -> Result<Anchors<'a>, String> {
+    pub(super) fn anchors<'a>(&self, outputs: &[TensorView<'a>]) -> Result<Anchors<'a>, String> {
         let missing = || format!("the model returned {} outputs", outputs.len());
         let boxes = outputs.get(self.boxes).ok_or_else(missing)?;
         // Before the scores come four sides and perhaps the objectness.
@@ -130,35 +126,10 @@ impl Dense {
     /// be a fault.
     fn writing(&self, anchors: &Anchors<'_>) -> Writing {
         match self.form {
-            BoxForm::PerhapsCells(strides) => self.perhaps_cells(anchors, strides),
+            BoxForm::InCells(strides) => Writing::Cells(strides),
             // Pixels are then impossible boxes, and not taken for others.
             BoxForm::CentreInSides => Writing::Unit(Unit::Sides(self.size)),
             BoxForm::Centre | BoxForm::Corners => Writing::Unit(unit(anchors.sides(), self.size)),
-        }
-    }
-
-    /// [`writing`](Self::writing) of boxes that may not be decoded.
-    fn perhaps_cells(&self, anchors: &Anchors<'_>, strides: &'static [u32]) -> Writing {
-        let mut total = 0_usize;
-        let mut in_pixels = 0_usize;
-        let mut in_sides = 0_usize;
-        for (number, sides) in anchors.sides().enumerate() {
-            let Some(largest) = largest_number(sides) else {
-                continue;
-            };
-            total += 1;
-            if largest > LARGEST_LOGARITHM {
-                in_pixels += 1;
-            } else if is_near_cell(sides, strides, self.size, number) {
-                in_sides += 1;
-            }
-        }
-        if 2 * in_pixels > total {
-            Writing::Unit(Unit::Pixels)
-        } else if 2 * in_sides > total {
-            Writing::Unit(Unit::Sides(self.size))
-        } else {
-            Writing::Cells(strides)
         }
     }
 
@@ -177,14 +148,14 @@ impl Dense {
 }
 
 /// The cell of an anchor.
-struct AnchorCell {
-    column: f64,
-    line: f64,
-    stride: f64,
+pub(super) struct AnchorCell {
+    pub(super) column: f64,
+    pub(super) line: f64,
+    pub(super) stride: f64,
 }
 
 /// The cell of anchor number `anchor`; `None` if there are fewer cells.
-fn cell_of(anchor: usize, strides: &[u32], size: PictureSize) -> Option<AnchorCell> {
+pub(super) fn cell_of(anchor: usize, strides: &[u32], size: PictureSize) -> Option<AnchorCell> {
     let mut first = 0;
     for &stride in strides {
         let here = cells(size, &[stride]);
@@ -219,23 +190,6 @@ fn in_cell(
         width.exp() * cell.stride,
         height.exp() * cell.stride,
     ])
-}
-
-/// True if a box whose numbers are parts of the input's sides has an area and its centre at most three cells from its own
-/// cell. Offsets in cells are about the same everywhere, and so are hardly ever such parts.
-fn is_near_cell(
-    [x, y, width, height]: [f64; 4],
-    strides: &[u32],
-    size: PictureSize,
-    anchor: usize,
-) -> bool {
-    let Some(cell) = cell_of(anchor, strides, size) else {
-        return false;
-    };
-    let across = x * f64::from(size.width) / cell.stride - cell.column;
-    let down = y * f64::from(size.height) / cell.stride - cell.line;
-    let is_near = |offset: f64| (-3.0..=4.0).contains(&offset);
-    width > 0.0 && height > 0.0 && is_near(across) && is_near(down)
 }
 
 /// True if scores are logits: most of them are no probabilities. A few that are none are faults.
@@ -315,11 +269,10 @@ impl ReadOutputs for Dense {
         let Ok(anchors) = self.anchors(outputs) else {
             return Evidence::None;
         };
-        let against = |reason: &str| Evidence::Against(reason.to_owned());
         let writing = self.writing(&anchors);
         let is_in_sides = self.form == BoxForm::CentreInSides;
         if is_in_sides && unit(anchors.sides(), self.size) == Unit::Pixels {
-            return against("its boxes are in pixels, and not from 0 to 1");
+            return Evidence::against("its boxes are in pixels, and not from 0 to 1");
         }
         // Logarithms of sides shorter than a cell are negative, and sides never are.
         let is_negative = |anchor: &Anchor<'_>| {
@@ -333,7 +286,7 @@ impl ReadOutputs for Dense {
             return match writing {
                 Writing::Cells(_) => Evidence::For,
                 Writing::Unit(_) => {
-                    against("the sides of its boxes are negative: it is not decoded")
+                    Evidence::against("the sides of its boxes are negative: it is not decoded")
                 }
             };
         }
@@ -344,16 +297,15 @@ impl ReadOutputs for Dense {
         };
         let is_corners = self.form == BoxForm::Corners;
         if is_corners && 2 * anchors.rows().filter(is_reversed).count() > total {
-            return against(
+            return Evidence::against(
                 "the right and lower sides of its boxes are not beyond the left and upper ones",
             );
         }
-        let is_of_centres = matches!(self.form, BoxForm::Centre | BoxForm::PerhapsCells(_));
         if let Writing::Unit(unit) = writing
-            && is_of_centres
+            && self.form == BoxForm::Centre
             && are_corners(anchors.sides(), unit, self.size)
         {
-            return against(CORNERS_NOT_CENTRES);
+            return corners_not_centres();
         }
         let mut of_a_class = 0_usize;
         let mut of_none = 0_usize;
@@ -369,7 +321,7 @@ impl ReadOutputs for Dense {
             }
         }
         if of_none > of_a_class {
-            return against("its surest boxes have no class at all");
+            return Evidence::against("its surest boxes have no class at all");
         }
         Evidence::None
     }

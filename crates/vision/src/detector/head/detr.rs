@@ -144,10 +144,10 @@ impl ReadOutputs for Detr {
             last_wins(numbers, self.classes)
         };
         if has_no_object {
-            return Evidence::Against(
+            return Evidence::against_with(
                 "the last of its classes wins nearly everywhere, or the scores of each box sum to 1: one class is \"no \
-                 object\" by softmax (DETR itself, YOLOS), which nothing here reads"
-                    .to_owned(),
+                 object\" by softmax (DETR itself, YOLOS), which nothing here reads",
+                "Export it as final boxes with one score each, and list their columns in detector.head",
             );
         }
         Evidence::None

@@ -2,9 +2,10 @@
 
 use super::columns::{self, ColumnList, MOST_BOXES};
 use super::dense::{BoxForm, Dense, rows_with_classes};
-use super::reading::{STRIDES, can_be, cells, count};
+use super::reading::{STRIDES, can_be, cells, cells_of_part, count};
 use super::rt_detr::RtDetr;
 use super::yolo::{BEFORE_CLASSES, Yolo};
+use super::yolox::Yolox;
 use super::{Bound, detr, fastestdet, pair};
 use crate::detector::HeadName;
 use crate::onnx::{Signature, TensorSpec};
@@ -164,7 +165,7 @@ fn are_anchors(anchors: i64, size: PictureSize) -> bool {
 }
 
 /// What is said of a number of anchors that no strides give.
-pub(super) fn other_anchors(anchors: i64, size: PictureSize) -> String {
+fn other_anchors(anchors: i64, size: PictureSize) -> String {
     let all = YOLO_STRIDES.map(|strides| cells(size, strides).to_string()).join(", ");
     format!("it has {anchors} anchors, and an input of {size} has {all} (by strides)")
 }
@@ -189,9 +190,13 @@ fn with_anchors(signature: &Signature, size: PictureSize) -> Result<usize, Strin
     }
 }
 
-/// True if a model with one anchor per cell can have `side` of them.
-pub(super) fn is_cells(side: i64, size: PictureSize) -> bool {
-    side != -1 && YOLO_STRIDES.iter().any(|strides| can_be(side, cells(size, strides)))
+/// True if a model with one anchor per cell can have `side` of them. A side that is no multiple of the strides may end with
+/// a part of a cell.
+pub(in crate::detector) fn is_cells(side: i64, size: PictureSize) -> bool {
+    let of_strides = |strides: &&[u32]| {
+        can_be(side, cells(size, strides)) || can_be(side, cells_of_part(size, strides))
+    };
+    side != -1 && YOLO_STRIDES.iter().any(of_strides)
 }
 
 /// How many numbers YOLO has for each anchor by the names of the classes in the metadata: they leave no doubt, whatever
@@ -367,16 +372,19 @@ fn bind_yolox(signature: &Signature, size: PictureSize) -> Result<Bound, String>
     if !can_be(rows, cells) {
         return Err(other_than_cells(cells));
     }
-    let reader = Dense {
+    let decoded = Dense {
         size,
-        form: BoxForm::PerhapsCells(&STRIDES),
+        form: BoxForm::Centre,
         anchors: cells as i64,
         classes,
         has_objectness: true,
         boxes: 0,
         scores: None,
     };
-    Ok(dense(reader))
+    Ok(Bound {
+        classes: Some(classes),
+        reader: Box::new(Yolox::new(decoded, &STRIDES)),
+    })
 }
 
 fn other_than_cells(cells: usize) -> String {

@@ -2,7 +2,7 @@
 //! the same outputs, which are refused where they can be told.
 
 use super::dense::{BoxForm, Dense, rows_with_classes};
-use super::families::{is_cells, other_anchors};
+use super::families::is_cells;
 use super::reading::{Rows, is_score};
 use super::{Bound, Evidence, ReadOutputs};
 use crate::onnx::{Signature, TensorSpec, TensorView};
@@ -11,10 +11,9 @@ use albireo_core::geometry::PictureSize;
 /// The parameters for reading the outputs.
 #[derive(Debug)]
 struct BoxesAndScores {
-    size: PictureSize,
     reading: Dense,
-    /// The same with the scores first, if the model has four classes: both outputs then have one shape.
-    scores_first: Option<Dense>,
+    /// True if either output may have the boxes, as each row of both has four numbers.
+    have_one_shape: bool,
 }
 
 /// Binds the two outputs of a model.
@@ -41,7 +40,7 @@ pub(super) fn bind(
     if of_boxes.shape.get(1) != Some(&anchors) || !is_row_per_cell {
         return Err("its outputs do not have a row for each cell".to_owned());
     }
-    let with_boxes_in = |boxes: usize| Dense {
+    let reading = Dense {
         size,
         form: BoxForm::Corners,
         anchors,
@@ -50,17 +49,11 @@ pub(super) fn bind(
         boxes,
         scores: Some(1 - boxes),
     };
-    let scores_first = if has_four(first) && has_four(second) {
-        Some(with_boxes_in(1))
-    } else {
-        None
-    };
     Ok(Bound {
         classes: Some(classes),
         reader: Box::new(BoxesAndScores {
-            size,
-            reading: with_boxes_in(boxes),
-            scores_first,
+            reading,
+            have_one_shape: has_four(first) && has_four(second),
         }),
     })
 }
@@ -97,10 +90,17 @@ pub(super) fn are_shares(numbers: &[f32], classes: usize) -> bool {
 impl BoxesAndScores {
     /// How the outputs of this run are read: most numbers of boxes in pixels are larger than any score. One odd score decides
     /// nothing.
-    fn of_run(&self, outputs: &[TensorView<'_>]) -> &Dense {
-        match &self.scores_first {
-            Some(other) if beyond_scores(outputs, 1) > beyond_scores(outputs, 0) => other,
-            _ => &self.reading,
+    fn of_run(&self, outputs: &[TensorView<'_>]) -> Dense {
+        let is_second =
+            self.have_one_shape && beyond_scores(outputs, 1) > beyond_scores(outputs, 0);
+        if is_second {
+            Dense {
+                boxes: 1,
+                scores: Some(0),
+                ..self.reading
+            }
+        } else {
+            self.reading
         }
     }
 }
@@ -125,20 +125,11 @@ impl ReadOutputs for BoxesAndScores {
 
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
         let reading = self.of_run(outputs);
-        // The signature may leave the number open.
-        if let Some(boxes) = outputs.get(reading.boxes)
-            && let Some(&rows) = boxes.shape.get(1)
-            && rows > 0
-            && !is_cells(rows, self.size)
-        {
-            return Evidence::Against(other_anchors(rows, self.size));
-        }
         let scores = reading.scores.and_then(|place| outputs.get(place));
         if scores.is_some_and(|scores| are_shares(scores.values, reading.classes)) {
-            return Evidence::Against(
-                "the scores of each box sum to 1: one of its classes is the background, as in SSD. Export it with its \
-                 suppression, as final boxes"
-                    .to_owned(),
+            return Evidence::against_with(
+                "the scores of each box sum to 1: one of its classes is the background, as in SSD",
+                "Export it with its suppression, as final boxes",
             );
         }
         reading.evidence(outputs, confidence)

@@ -1,6 +1,6 @@
 //! Functions that the heads share: finding outputs, checking shapes, making boxes from numbers.
 
-use super::Candidate;
+use super::{Candidate, Evidence};
 use crate::onnx::{TensorView, shape_text};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -13,6 +13,14 @@ pub(super) fn cells(size: PictureSize, strides: &[u32]) -> usize {
     strides
         .iter()
         .map(|stride| (size.width / stride) as usize * (size.height / stride) as usize)
+        .sum()
+}
+
+/// The same with the cells that reach beyond the input.
+pub(super) fn cells_of_part(size: PictureSize, strides: &[u32]) -> usize {
+    strides
+        .iter()
+        .map(|&stride| size.width.div_ceil(stride) as usize * size.height.div_ceil(stride) as usize)
         .sum()
 }
 
@@ -184,8 +192,13 @@ pub(super) fn largest_number(sides: [f64; 4]) -> Option<f64> {
 }
 
 /// What tells against boxes that are read as centre and sides if they [are corners](are_corners).
-pub(super) const CORNERS_NOT_CENTRES: &str = "each of its boxes is written as two corners, and not as centre and sides, as in \
-    YOLO26 and YOLOv10 before they select the best: export it with that selection";
+pub(super) fn corners_not_centres() -> Evidence {
+    Evidence::against_with(
+        "each of its boxes is written as two corners, and not as centre and sides, as in YOLO26 and YOLOv10 before they \
+         select the best",
+        "Export it with that selection",
+    )
+}
 
 /// True if the boxes of a whole grid are two corners: the third and fourth numbers of nearly all are beyond the first and
 /// second, and grow with them. Sides can be longer than the distance of their centre, but are not the longer the farther
@@ -195,36 +208,73 @@ pub(super) fn are_corners(
     unit: Unit,
     size: PictureSize,
 ) -> bool {
-    let mut corners = Vec::new();
+    let mut total = 0_usize;
+    let mut in_order = 0_usize;
+    let mut across = SecondEnds::new(f64::from(size.width));
+    let mut down = SecondEnds::new(f64::from(size.height));
     for sides in boxes {
         if largest_number(sides).is_some() {
             let [x1, y1, x2, y2] = sides;
-            corners.push(unit.pixels(Corners { x1, y1, x2, y2 }));
+            let Corners { x1, y1, x2, y2 } = unit.pixels(Corners { x1, y1, x2, y2 });
+            total += 1;
+            in_order += usize::from(x1 < x2 && y1 < y2);
+            across.add(x1, x2);
+            down.add(y1, y2);
         }
     }
-    let is_in_order = |one: &&Corners| one.x1 < one.x2 && one.y1 < one.y2;
-    let in_order = corners.iter().filter(is_in_order).count();
-    let across = corners.iter().map(|one| [one.x1, one.x2]);
-    let down = corners.iter().map(|one| [one.y1, one.y2]);
-    10 * in_order > 9 * corners.len()
-        && second_grows(across, f64::from(size.width))
-        && second_grows(down, f64::from(size.height))
+    10 * in_order > 9 * total && across.grow() && down.grow()
 }
 
-/// True if the second numbers grow with the first: from the first third of `length` to its last, by at least a third of it.
-fn second_grows(pairs: impl Iterator<Item = [f64; 2]>, length: f64) -> bool {
-    let mut early = Vec::new();
-    let mut late = Vec::new();
-    for [first, second] in pairs {
-        if first < length / 3.0 {
-            early.push(second);
-        } else if first > length * 2.0 / 3.0 {
-            late.push(second);
+/// The second of two numbers per box, by where the first lies in a length.
+struct SecondEnds {
+    length: f64,
+    /// Those of the first third.
+    early: Mean,
+    /// Those of the last.
+    late: Mean,
+}
+
+impl SecondEnds {
+    fn new(length: f64) -> Self {
+        Self {
+            length,
+            early: Mean::default(),
+            late: Mean::default(),
         }
     }
-    let mean = |numbers: &[f64]| numbers.iter().sum::<f64>() / numbers.len() as f64;
-    // Without a number the mean is none, and nothing has grown.
-    mean(&late) - mean(&early) > length / 3.0
+
+    fn add(&mut self, first: f64, second: f64) {
+        if first < self.length / 3.0 {
+            self.early.add(second);
+        } else if first > self.length * 2.0 / 3.0 {
+            self.late.add(second);
+        }
+    }
+
+    /// True if they grow with the first, from the first third to the last, by at least a third of the length.
+    fn grow(&self) -> bool {
+        // Without a number the mean is none, and nothing has grown.
+        self.late.value() - self.early.value() > self.length / 3.0
+    }
+}
+
+/// A mean as it grows.
+#[derive(Default)]
+struct Mean {
+    sum: f64,
+    count: u32,
+}
+
+impl Mean {
+    fn add(&mut self, number: f64) {
+        self.sum += number;
+        self.count += 1;
+    }
+
+    /// No number if none was added.
+    fn value(&self) -> f64 {
+        self.sum / f64::from(self.count)
+    }
 }
 
 /// The corners of a box, given its centre x, centre y, width and height.

@@ -1,8 +1,10 @@
 //! Finds the head that a model needs: by the exporter's metadata, names and shapes, and, where formats share these, by
 //! the values of the model's first run.
 
-use super::families::{FAMILIES, Family};
-use super::{Evidence, Head, HeadOverrides, bind_family, unread};
+use super::families::{FAMILIES, Family, family};
+use super::reading::count;
+use super::rt_detr::MOST_NUMBERS;
+use super::{Evidence, Head, HeadOverrides, Objection, bind_family, unread};
 use crate::detector::HeadName;
 use crate::onnx::{PictureInput, Signature, TensorView};
 
@@ -30,22 +32,43 @@ impl RecognisedHead {
     }
 
     /// The head that only the name of the output tells from the others that fit.
-    fn told_by_name(name: HeadName, fitting: &[HeadName]) -> Self {
+    fn told_by_name(name: HeadName, fitting: &[Head], signature: &Signature) -> Self {
+        if name == HeadName::Yolox && is_named_as_by_yolox(signature) && have_one_count(fitting) {
+            return Self {
+                name,
+                assumed: None,
+            };
+        }
         let mut others = Vec::new();
         for other in fitting {
-            if *other != name {
-                others.push(format!("\"{}\"", other.as_str()));
+            if other.name != name {
+                others.push(format!("\"{}\"", other.name.as_str()));
             }
         }
         Self {
             name,
             assumed: Some(format!(
-                "only the name of its output tells it from {}: if it finds too little, set detector.head (\"yolox\" \
-                 for YOLOX, \"yolov5\" for YOLOv6)",
-                others.join(", ")
+                "only the name of its output tells it from {}: set detector.head to \"{}\" if what it finds is right, or \
+                 else to {}",
+                others.join(", "),
+                name.as_str(),
+                others.join(" or ")
             )),
         }
     }
+}
+
+/// True if both ends of the graph are called as YOLOX's own exporter calls them.
+fn is_named_as_by_yolox(signature: &Signature) -> bool {
+    match (signature.inputs.as_slice(), signature.outputs.as_slice()) {
+        ([input], [output]) => input.name == "images" && output.name == "output",
+        _ => false,
+    }
+}
+
+/// True if these heads see one number of classes.
+fn have_one_count(heads: &[Head]) -> bool {
+    heads.windows(2).all(|pair| pair[0].classes == pair[1].classes)
 }
 
 /// What is said of boxes and scores in two outputs.
@@ -101,39 +124,85 @@ pub fn recognise(
     };
     // Heads see different numbers of classes in rows of one length, as they take different numbers of them for the box.
     // A model without names may have the classes of COCO, if its shapes show as many.
-    let count = names.unwrap_or(80);
+    let expected = names.unwrap_or(80);
     let decides =
-        |head: &Head| head.fits_names(count) && (names.is_some() || head.classes.is_some());
+        |head: &Head| head.fits_names(expected) && (names.is_some() || head.classes.is_some());
     if heads.iter().any(decides) {
-        heads.retain(|head| head.fits_names(count));
+        heads.retain(|head| head.fits_names(expected));
     }
     Ok(Recognised(heads))
 }
 
-/// What to do with a model of which a run shows that `reason` tells against its head, if that does not say it: name the heads
-/// that may read it, or list the columns.
+/// The remedy for a model whose head a run tells against, if the objection has none: the heads that may read it, or the
+/// list of its columns.
 pub fn way_out(
-    reason: &str,
     signature: &Signature,
     input: PictureInput,
     names: Option<usize>,
     outputs: &[TensorView<'_>],
 ) -> String {
-    let says_it = |words: &&str| reason.contains(*words);
-    if ["xport it", "ist its columns", "detector.head"].iter().any(says_it) {
-        return String::new();
-    }
     let heads = others(signature, input, names, outputs);
     if heads.is_empty() {
-        return ". If you know the columns of its output, list them: detector.head = { columns = \"x1 y1 x2 y2 score \
+        return "If you know the columns of its output, list them: detector.head = { columns = \"x1 y1 x2 y2 score \
                 class\" }"
             .to_owned();
     }
     let settings: Vec<_> = heads.iter().map(with_names).collect();
     format!(
-        ". It may be read with detector.head = {}",
+        "It may be read with detector.head = {}",
         settings.join(" or ")
     )
+}
+
+/// The reason why a recognised head cannot read outputs of the sizes of this run, where the signature leaves them open.
+pub fn misfit(
+    name: HeadName,
+    signature: &Signature,
+    input: PictureInput,
+    outputs: &[TensorView<'_>],
+) -> Option<String> {
+    let seen = with_sizes_of(signature, outputs);
+    bind_family(family(name)?, &seen, input, HeadOverrides::default()).err()
+}
+
+/// What is assumed of a recognised head if a run on a black picture finds nothing at all, in words: rows of final boxes, of
+/// any columns, would then look like the queries of RT-DETR.
+pub fn assumed_of_nothing(
+    name: HeadName,
+    signature: &Signature,
+    outputs: &[TensorView<'_>],
+) -> Option<String> {
+    let [output] = outputs else {
+        return None;
+    };
+    let are_few = output.shape.last().is_some_and(|&last| count(last) <= MOST_NUMBERS);
+    let is_told = signature.metadata.is_rt_detr();
+    if name != HeadName::RtDetr || is_told || !are_few || !are_all_zero(outputs) {
+        return None;
+    }
+    Some(
+        "its rows are all 0 on black, as unused rows of final boxes are: set detector.head to \"rt-detr\" if what it finds \
+         is right, or else to the columns of its output"
+            .to_owned(),
+    )
+}
+
+fn are_all_zero(outputs: &[TensorView<'_>]) -> bool {
+    outputs.iter().all(|output| output.values.iter().all(|&number| number == 0.0))
+}
+
+/// The signature with the sizes of a run where it leaves them open.
+fn with_sizes_of(signature: &Signature, outputs: &[TensorView<'_>]) -> Signature {
+    let mut seen = signature.clone();
+    for (output, view) in seen.outputs.iter_mut().zip(outputs) {
+        for (side, &size) in output.shape.iter_mut().zip(view.shape) {
+            // A black picture may have no boxes at all.
+            if *side == -1 && size > 0 {
+                *side = size;
+            }
+        }
+    }
+    seen
 }
 
 /// The heads that a run says nothing against, of those that the model looks like or that have the right number of classes
@@ -144,13 +213,13 @@ fn others(
     names: Option<usize>,
     outputs: &[TensorView<'_>],
 ) -> Vec<Head> {
-    let count = names.unwrap_or(80);
+    let expected = names.unwrap_or(80);
     let mut heads = Vec::new();
     for family in &FAMILIES {
         let Ok(head) = bind_family(family, signature, input, HeadOverrides::default()) else {
             continue;
         };
-        let fits = head.classes.is_some() && head.fits_names(count);
+        let fits = head.classes.is_some() && head.fits_names(expected);
         let may_be = fits || (family.looks_other)(signature, input.size).is_none();
         let evidence = head.evidence(outputs, LEAST_SCORE);
         if may_be && !matches!(evidence, Evidence::Against(_)) {
@@ -164,6 +233,7 @@ fn others(
 fn with_names(head: &Head) -> String {
     let name = head.name.as_str();
     match head.classes {
+        Some(1) => format!("\"{name}\" (for 1 name in detector.class_names)"),
         Some(classes) => {
             format!("\"{name}\" (for {classes} names in detector.class_names)")
         }
@@ -218,20 +288,13 @@ impl Recognised {
         input: PictureInput,
         outputs: &[TensorView<'_>],
     ) -> Self {
-        let mut seen = signature.clone();
-        for (output, view) in seen.outputs.iter_mut().zip(outputs) {
-            for (side, &size) in output.shape.iter_mut().zip(view.shape) {
-                // A black picture may have no boxes at all.
-                if *side == -1 && size > 0 {
-                    *side = size;
-                }
-            }
-        }
+        let seen = with_sizes_of(signature, outputs);
         let names: Vec<_> = self.0.iter().map(|head| head.name).collect();
         fitting(&seen, input, &names).unwrap_or(self)
     }
 
-    /// The head that the outputs of a run on a black picture tell, or else the exporter's convention.
+    /// The head that the outputs of a run on a black picture tell, or else the exporter's convention, for a model with this
+    /// number of class names, if known.
     ///
     /// # Errors
     /// If nothing decides: the settings that would.
@@ -239,44 +302,59 @@ impl Recognised {
         self,
         signature: &Signature,
         input: PictureInput,
+        names: Option<usize>,
         outputs: &[TensorView<'_>],
     ) -> Result<RecognisedHead, String> {
         let mut sure = Vec::new();
-        let mut names = Vec::new();
-        let mut against = Vec::new();
+        let mut left = Vec::new();
+        let mut reasons = Vec::new();
+        let mut remedies = Vec::new();
         let Recognised(heads) = self.with_sizes_of(signature, input, outputs);
         for head in heads {
             match head.evidence(outputs, LEAST_SCORE) {
-                Evidence::Against(reason) => {
-                    against.push(format!("no `{}`: {reason}", head.name.as_str()));
+                Evidence::Against(Objection { reason, remedy }) => {
+                    reasons.push(format!("no `{}`: {reason}", head.name.as_str()));
+                    remedies.extend(remedy);
                 }
                 Evidence::For => {
                     sure.push(head.name);
-                    names.push(head.name);
+                    left.push(head);
                 }
-                Evidence::None => names.push(head.name),
+                Evidence::None => left.push(head),
             }
+        }
+        // Rows of final boxes may all be unused, and queries hardly ever are.
+        let may_be_final = left.iter().any(|head| head.name == HeadName::EndToEnd);
+        if may_be_final && are_all_zero(outputs) {
+            left.retain(|head| head.name != HeadName::RtDetr);
         }
         // Evidence for one head counts more than that there is none against it.
         if let [name] = sure.as_slice() {
             return Ok(RecognisedHead::told(*name, signature));
         }
-        if let [name] = names.as_slice() {
-            return Ok(RecognisedHead::told(*name, signature));
+        if let [head] = left.as_slice() {
+            return Ok(RecognisedHead::told(head.name, signature));
         }
-        if let Some(name) = by_convention(signature)
-            && names.contains(&name)
-        {
-            return Ok(RecognisedHead::told_by_name(name, &names));
-        }
-        if names.is_empty() {
-            let reasons = against.join("; ");
-            let way_out = way_out(&reasons, signature, input, None, outputs);
+        if left.is_empty() {
+            let remedy = match remedies.first() {
+                Some(remedy) => remedy.clone(),
+                None => way_out(signature, input, names, outputs),
+            };
             return Err(format!(
-                "its shapes are known, and the values of its first run are not: {reasons}{way_out}"
+                "its shapes are known, and the values of its first run are not: {}. {remedy}",
+                reasons.join("; ")
             ));
         }
-        let choices: Vec<_> = names.iter().map(|name| format!("\"{}\"", name.as_str())).collect();
+        if names.is_none() && !have_one_count(&left) {
+            return Err(UNNAMED.to_owned());
+        }
+        if let Some(name) = by_convention(signature)
+            && left.iter().any(|head| head.name == name)
+        {
+            return Ok(RecognisedHead::told_by_name(name, &left, signature));
+        }
+        let choices: Vec<_> =
+            left.iter().map(|head| format!("\"{}\"", head.name.as_str())).collect();
         Err(format!(
             "it could be any of {}, which share the shape of its output; set detector.head to the one that it is (the \
              number of names in detector.class_names tells some of them apart)",
@@ -286,7 +364,12 @@ impl Recognised {
 }
 
 /// Scores of a real run are above it, and unused rows are 0.
-const LEAST_SCORE: f64 = 1e-4;
+pub const LEAST_SCORE: f64 = 1e-4;
+
+/// What is said of a model without names that heads read with different numbers of classes.
+const UNNAMED: &str = "its metadata do not name its classes, and how it is read depends on how many there are: give \
+                       detector.class_names all of them, as a file with one name per line, or a list, or \"coco\" if it \
+                       was trained on COCO";
 
 /// The head whose exporter gives the only output this name. YOLOX with decoding in the graph and YOLOv6 have outputs of
 /// the same shape and meaning, and want their pictures differently.

@@ -289,13 +289,14 @@ fn one_odd_score_does_not_decide_which_output_of_yolo_nas_has_the_boxes() {
 }
 
 #[test]
-fn scores_that_sum_to_1_and_rows_that_are_no_cells_tell_against_yolo_nas() {
+fn scores_that_sum_to_1_tell_against_yolo_nas_and_rows_that_are_no_cells_do_not() {
     let outputs: [(&str, &[i64]); 2] = [("scores", &[1, -1, 3]), ("boxes", &[1, -1, 4])];
     let head = bound(HeadName::YoloNas, &[1, 3, 32, 64], &outputs);
     for (rows, scores, is_against) in [
         (42, [0.1_f32, 0.2, 0.1], false),
         (42, [0.9, 0.06, 0.04], true),
-        (50, [0.1, 0.2, 0.1], true),
+        // Whoever names the head may know better.
+        (50, [0.1, 0.2, 0.1], false),
     ] {
         let of_scores = [1, rows as i64, 3];
         let of_boxes = [1, rows as i64, 4];
@@ -356,10 +357,11 @@ fn rows_of_rt_detr_that_end_with_a_class_are_not_read_as_two_scores() {
         head.evidence(&[output], 0.5)
     };
     assert_eq!(evidence(0.2), Evidence::None);
-    let Evidence::Against(reason) = evidence(1.0) else {
+    let Evidence::Against(objection) = evidence(1.0) else {
         panic!("a class is read as a score");
     };
-    assert!(reason.contains("cx cy w h score class"), "{reason}");
+    let words = objection.to_string();
+    assert!(words.contains("cx cy w h score class"), "{words}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use super::dense::{are_logits, sigmoid};
 use super::reading::{
-    CORNERS_NOT_CENTRES, Rows, are_corners, around, candidate, elements, is_score, unit,
+    Rows, are_corners, around, candidate, corners_not_centres, elements, is_score, unit,
 };
 use super::{Evidence, ReadOutputs};
 use crate::onnx::TensorView;
@@ -108,7 +108,7 @@ impl ReadOutputs for Yolo {
         };
         let unit = unit(run.boxes(), self.size);
         if are_corners(run.boxes(), unit, self.size) {
-            return Evidence::Against(CORNERS_NOT_CENTRES.to_owned());
+            return corners_not_centres();
         }
         Evidence::None
     }

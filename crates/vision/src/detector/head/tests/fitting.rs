@@ -215,7 +215,7 @@ fn told_with_words(
         values: &values,
     };
     let input = model.picture_input(None).unwrap();
-    found(model, Some(names))?.by_values(model, input, &[output])
+    found(model, Some(names))?.by_values(model, input, Some(names), &[output])
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
         ("output", [1, 84, 6], 2, &[centre], Yolo),
         ("output", [1, 300, 6], 2, &[query; 300], RtDetr),
         ("output", [1, 300, 6], 2, &[whole_class], EndToEnd),
-        // Nothing is found on black: no row of final boxes is used.
+        // Nothing is found on black: no row of final boxes is used, and every query would be.
         ("output", [1, 300, 6], 1, &[], EndToEnd),
         ("output", [1, 300, 6], 2, &[], EndToEnd),
     ] {
@@ -254,13 +254,21 @@ fn a_head_whose_outputs_others_share_comes_with_words_that_say_so() {
     let shape = [1, 84, 6];
     let logarithms: &[f32] = &[0.5, 0.5, -0.5, -0.7, 0.9, 0.9];
     let centre: &[f32] = &[32.0, 32.0, 20.0, 10.0, 0.9, 0.8];
-    let of_run = |rows: &[&[f32]]| {
-        let yolox = plain(64, "output", &shape);
-        told_with_words(&yolox, 1, shape, rows).unwrap().assumed
+    let of_run = |input: &str, output: &str, rows: &[&[f32]]| {
+        let mut model = plain(64, output, &shape);
+        model.inputs[0].name = input.to_owned();
+        told_with_words(&model, 1, shape, rows).unwrap().assumed
     };
-    assert_eq!(of_run(&[logarithms; 20]), None);
-    let words = of_run(&[centre]).unwrap();
-    assert!(words.contains("from \"yolov5\""), "{words}");
+    assert_eq!(of_run("x", "output", &[logarithms; 20]), None);
+    let words = of_run("x", "output", &[centre]).unwrap();
+    let said = "from \"yolov5\": set detector.head to \"yolox\" if what it finds is right, or else to \"yolov5\"";
+    assert!(words.contains(said), "{words}");
+    // As YOLOX's own exporter calls them.
+    assert_eq!(of_run("images", "output", &[centre]), None);
+    // Every head that fits is offered. Nothing is found on black, so no row of final boxes is used.
+    let words = of_run("images", "output", &[]).unwrap();
+    let said = "or else to \"yolov5\" or \"end-to-end\"";
+    assert!(words.contains(said), "{words}");
 }
 
 #[test]
@@ -286,13 +294,16 @@ fn a_model_without_names_need_not_have_the_classes_of_coco() {
             values: &values,
         };
         let input = unnamed.picture_input(None).unwrap();
-        let told = found(&unnamed, None).unwrap().by_values(&unnamed, input, &[output]);
+        let told = found(&unnamed, None).unwrap().by_values(&unnamed, input, None, &[output]);
         told.map(|head| head.name)
     };
     assert_eq!(run("output0", [1, 25_200, 6]), Ok(Yolov5));
-    assert_eq!(run("outputs", [1, 8400, 6]), Ok(Yolov5));
-    let refusal = run("output0", [1, 8400, 6]).unwrap_err();
-    assert!(refusal.contains("\"yolo\", \"yolov5\""), "{refusal}");
+    // One class with an objectness, or two: names are asked for, and no number of them is taken for right.
+    for name in ["outputs", "output", "output0"] {
+        let refusal = run(name, [1, 8400, 6]).unwrap_err();
+        assert!(refusal.contains("detector.class_names"), "{refusal}");
+        assert!(!refusal.contains("yolo"), "{refusal}");
+    }
     // Of 80 classes that the shape shows.
     let coco = plain(640, "output0", &[1, 300, 84]);
     assert_eq!(recognised(&coco, None), Ok(HeadName::RtDetr));
@@ -313,28 +324,64 @@ fn a_head_that_a_run_tells_against_is_refused_with_the_head_that_may_read_the_mo
     };
     let input = yolo.picture_input(None).unwrap();
     let head = fitted(HeadName::RtDetr, &yolo).unwrap();
-    let Evidence::Against(reason) = head.evidence(&[output], 1e-4) else {
-        panic!("pixels are read as parts of the input's sides");
-    };
-    let words = way_out(&reason, &yolo, input, None, &[output]);
+    let evidence = head.evidence(&[output], 1e-4);
+    assert!(matches!(evidence, Evidence::Against(_)));
+    let words = way_out(&yolo, input, None, &[output]);
     assert!(
         words.contains("detector.head = \"yolo\" (for 80 names"),
         "{words}"
     );
     assert!(!words.contains("columns"), "{words}");
-    // Where nothing else reads it the columns can be listed, unless the reason has said so.
-    let zeros = vec![0.0; 20 * 9];
+    // Where nothing else reads it the columns can be listed.
+    let final_boxes = [0.0, 1.0, 0.9, 0.4, 0.4, 0.5, 0.5, 0.0, 0.0].repeat(20);
     let boxes = plain(640, "output0", &[1, 20, 9]);
     let output = TensorView {
         shape: &[1, 20, 9],
-        values: &zeros,
+        values: &final_boxes,
     };
-    for (reason, is_said) in [
-        ("it is something else", true),
-        ("List its columns: ..", false),
+    let words = way_out(&boxes, input, None, &[output]);
+    assert!(words.contains("columns = "), "{words}");
+    // Of one class more than a box it is said without a plural.
+    let one_class = plain(64, "output0", &[1, 84, 5]);
+    let words = way_out(&one_class, input, Some(1), &[]);
+    assert!(words.contains("(for 1 name in"), "{words}");
+}
+
+#[test]
+fn rows_of_nothing_are_read_as_those_of_rt_detr_with_words_that_say_so() {
+    use HeadName::{EndToEnd, RtDetr};
+    let shape: &[i64] = &[1, 20, 7];
+    let rows = plain(64, "output0", shape);
+    let told_by_metadata = model(64, &[("output0", shape)], &[("head", "RTDETRDecoder")]);
+    let nothing = [0.0; 140];
+    let query = [0.5, 0.4, 0.2, 0.1, 0.01, 0.02, 0.03].repeat(20);
+    for (name, signature, values, is_said) in [
+        (RtDetr, &rows, &nothing[..], true),
+        (RtDetr, &rows, &query, false),
+        (RtDetr, &told_by_metadata, &nothing, false),
+        (EndToEnd, &rows, &nothing, false),
     ] {
-        let words = way_out(reason, &boxes, input, None, &[output]);
-        assert_eq!(words.contains("columns = "), is_said, "{words}");
+        let words = assumed_of_nothing(name, signature, &[TensorView { shape, values }]);
+        assert_eq!(words.is_some(), is_said, "{name:?} {signature}");
+    }
+}
+
+#[test]
+fn a_recognised_head_must_fit_the_rows_of_a_run_which_may_be_cells_rounded_up() {
+    let open: [(&str, &[i64]); 2] = [("boxes", &[1, -1, 4]), ("scores", &[1, -1, 80])];
+    let mut model = model(640, &open, &[]);
+    model.inputs[0].shape = vec![1, 3, 360, 640];
+    let input = model.picture_input(None).unwrap();
+    // 80 * 45, 40 * 23 and 20 * 12.
+    for (rows, fits) in [(4760, true), (4700, true), (50, false)] {
+        let shapes = [[1, rows, 4], [1, rows, 80]];
+        let values = vec![0.0; rows as usize * 80];
+        let outputs = shapes.each_ref().map(|shape| TensorView {
+            shape,
+            values: &values[..(shape[1] * shape[2]) as usize],
+        });
+        let misfit = misfit(HeadName::YoloNas, &model, input, &outputs);
+        assert_eq!(misfit.is_none(), fits, "{rows} rows: {misfit:?}");
     }
 }
 

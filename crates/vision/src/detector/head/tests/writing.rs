@@ -4,11 +4,11 @@ use super::*;
 
 const INPUT: [i64; 4] = [1, 3, 32, 64];
 
-/// The reason that a run in which the only output has these numbers gives against a head.
-fn against(head: &Head, shape: &[i64], values: &[f32]) -> Option<String> {
+/// What a run in which the only output has these numbers says against a head.
+fn against(head: &Head, shape: &[i64], values: &[f32]) -> Option<Objection> {
     let output = TensorView { shape, values };
     match head.evidence(&[output], 1e-4) {
-        Evidence::Against(reason) => Some(reason),
+        Evidence::Against(objection) => Some(objection),
         Evidence::For | Evidence::None => None,
     }
 }
@@ -74,6 +74,37 @@ fn decoded_boxes_of_yolox_in_parts_of_the_inputs_sides_are_not_read_as_logarithm
     assert_candidates(&found, &[([20.0, 8.0, 36.0, 16.0], 0, 0.8)]);
 }
 
+#[test]
+fn offsets_and_logarithms_of_yolox_at_small_inputs_are_not_taken_for_parts_of_its_sides() {
+    let shape = [1, 42, 7];
+    // Of wide boxes, whose logarithms are positive. Nearly all centres would be near their cells, as the input has so few.
+    let mut values = [0.5, 0.4, 0.3, 0.2, 0.1, 0.1, 0.1].repeat(42);
+    // Stride 8, 8 columns: cell 11 is column 3, row 1.
+    values[11 * 7..][..7].copy_from_slice(&[0.5, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]);
+    let head = bound(HeadName::Yolox, &INPUT, &[("output", &shape)]);
+    let (rejected, found) = read(&head, &[(&shape, &values)]);
+    assert_eq!(rejected, 0);
+    assert_candidates(&found, &[([20.0, 6.0, 36.0, 14.0], 1, 0.72)]);
+}
+
+#[test]
+fn the_first_run_with_boxes_says_for_all_whether_yolox_is_decoded() {
+    let shape = [1, 42, 7];
+    let head = bound(HeadName::Yolox, &INPUT, &[("output", &shape)]);
+    let sure = |sides: [f32; 4]| {
+        let mut values = vec![0.0; 42 * 7];
+        values[..7].copy_from_slice(&[sides[0], sides[1], sides[2], sides[3], 1.0, 1.0, 0.0]);
+        read(&head, &[(&shape, &values)]).1
+    };
+    // Nothing at all decides nothing.
+    read(&head, &[(&shape, &[0.0; 42 * 7])]);
+    let decoded = sure([32.0, 16.0, 20.0, 10.0]);
+    assert_candidates(&decoded, &[([22.0, 11.0, 42.0, 21.0], 0, 1.0)]);
+    // Smaller than e^8 cells.
+    let small = sure([5.0, 5.0, 4.0, 4.0]);
+    assert_candidates(&small, &[([3.0, 3.0, 7.0, 7.0], 0, 1.0)]);
+}
+
 /// How a box around the centre of its cell is written.
 type Write = fn([f32; 2]) -> [f32; 4];
 
@@ -126,8 +157,12 @@ fn rows_of_final_boxes_tell_against_rt_detr_and_queries_do_not() {
     let query = [0.5, 0.4, 0.2, 0.1, 0.01, 0.02, 0.03];
     for (row, is_against) in [
         (query, false),
+        // Sides that are 0 or 1 everywhere, on black.
+        ([0.5, 0.4, 1.0, 0.1, 0.01, 0.02, 0.03], false),
+        ([0.5, 0.4, 0.0, 0.0, 0.01, 0.02, 0.03], false),
+        // Nothing, as of a model that writes zeros below a threshold.
+        ([0.0; 7], false),
         // Unused.
-        ([0.0; 7], true),
         ([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], true),
         // The number of the picture, the class, the score and two corners.
         ([0.0, 1.0, 0.9, 0.42, 0.45, 0.58, 0.55], true),
@@ -173,7 +208,9 @@ fn a_score_and_a_class_in_each_others_place_are_counted_and_tell_against_the_col
         let (rejected, found) = read(head, &[(shape, values)]);
         assert_eq!(rejected, 2, "{head:?}");
         assert!(found.is_empty(), "{head:?}");
-        let reason = against(head, shape, values).unwrap_or_default();
-        assert!(reason.contains("exchanged"), "{reason}");
+        let words = against(head, shape, values).unwrap().to_string();
+        assert!(words.contains("exchanged"), "{words}");
+        // Not the order that has just been refuted.
+        assert!(!words.contains("score class"), "{words}");
     }
 }
