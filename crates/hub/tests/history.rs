@@ -244,6 +244,30 @@ async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is
 
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_database_whose_encoding_lacks_characters_is_refused() {
+    let server = Postgres::start();
+    let url = server.url();
+    let latin =
+        "CREATE DATABASE l ENCODING 'LATIN1' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0";
+    let bytes =
+        "CREATE DATABASE b ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0";
+    script(&url, latin).await;
+    script(&url, bytes).await;
+    let (address, _) = url.rsplit_once('/').unwrap();
+    let refused = config(&format!("{address}/l")).database;
+    let error = Store::open(&refused).await.unwrap_err();
+    assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
+    let error = error.to_string();
+    for part in ["LATIN1", "ENCODING 'UTF8' TEMPLATE template0"] {
+        assert!(error.contains(part), "{error}");
+    }
+    let taken = config(&format!("{address}/b")).database;
+    Store::open(&taken).await.unwrap().close().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
 async fn the_diagnostic_archive_describes_the_hub() {
     let hub = Hub::fresh().await;
     hub.store("car-1", 1..=1).await;

@@ -343,7 +343,7 @@ async fn postgres_days_are_partitions_and_are_dropped_whole() {
             let mut recorder = Recorder::new(&store, &history, now);
             for (minute, (number, days)) in (0..).zip(numbers) {
                 let payload = aged("car-1", *number, *days).to_payload(BatchCompression::Best);
-                let batch = decode("car-1", &payload.unwrap(), now.unix_ms).unwrap();
+                let batch = decode("car-1", &payload.unwrap().into(), now.unix_ms).unwrap();
                 // Old rows are deleted once a minute.
                 let at = now.at + std::time::Duration::from_secs(61) * minute;
                 let recorded = recorder.record(&[batch], &[], Now { at, ..now });

@@ -124,6 +124,21 @@ async fn the_index_lists_every_documented_route() {
     hub.stop().await;
 }
 
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_of_events_of_an_unknown_type_is_refused_with_the_known_ones() {
+    let hub = Hub::fresh().await;
+    let (status, said) = answer(&hub, "/api/v1/events?types=node,nope").await;
+    assert_eq!(status, 400, "{said}");
+    for part in ["`nope`", "node, gap, reset, set_aside"] {
+        assert!(said.contains(part), "{said}");
+    }
+    let known = "node,gap,reset,set_aside,clock_off,refused,drift,forgotten,resync";
+    let stream = reqwest::get(format!("{}/api/v1/events?types={known}", hub.http)).await;
+    assert_eq!(stream.unwrap().status(), 200);
+    hub.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_list_of_no_or_a_negative_number_of_rows_is_refused_in_words_by_every_route() {
     let hub = Hub::fresh().await;

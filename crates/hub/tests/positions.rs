@@ -190,6 +190,7 @@ const BACK_TO_14: &str = "DROP INDEX clips_with_positions; \
     ALTER TABLE clips DROP COLUMN distance_mm; ALTER TABLE clips DROP COLUMN travel; \
     ALTER TABLE sums_5m DROP COLUMN travel_mm; ALTER TABLE sums_5m DROP COLUMN travel_uj; \
     ALTER TABLE sums_hour DROP COLUMN travel_mm; ALTER TABLE sums_hour DROP COLUMN travel_uj; \
+    ALTER TABLE report_counts DROP COLUMN displaced; \
     ALTER TABLE revisions RENAME COLUMN selector TO \"select\"; ALTER TABLE revisions RENAME COLUMN setting TO \"to\"; \
     ALTER TABLE revisions RENAME TO orders; \
     ALTER TABLE revision_nodes RENAME COLUMN setting_before TO \"from\"; \

@@ -1,12 +1,14 @@
 //! The hub knows which nodes exist and their state.
 
 use crate::support::{
-    Hub, Reply, assert_contains, assert_has, batch, free_port, full_status, names, open, status,
+    Hub, Reply, assert_contains, assert_has, batch, free_port, full_status, names, open, script,
+    status,
 };
 use albireo_service::config::ZenohMode;
-use albireo_wire::{BatchCompression, CameraStatus, MOST_CAMERAS, RevisionMessage};
+use albireo_wire::{BatchCompression, CameraStatus, MOST_CAMERAS, RevisionMessage, VERSION};
+use reqwest::StatusCode;
 use rstest::rstest;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::time::Duration;
 
 #[rstest]
@@ -70,12 +72,34 @@ async fn a_name_that_no_node_may_have_is_refused_and_counted_and_the_sender_lear
             Reply::Refused(refusal) => assert_contains(&refusal.detail, &["node name"]),
             reply => panic!("{name}: {reply:?}"),
         }
+        let pull = json!({"v": VERSION, "revision": 0}).to_string();
+        let replies = hub.uplink.get(format!("albireo/@pull/{name}")).payload(pull).await.unwrap();
+        let refused = replies.recv_async().await.unwrap().into_result().unwrap_err();
+        let refusal: Value = serde_json::from_slice(&refused.payload().to_bytes()).unwrap();
+        assert_contains(&refusal["detail"], &["node name"]);
     }
     hub.put_status("car-1", &full_status(11, 0, &[])).await;
     hub.until_state("car-1", "online").await;
     let page = hub.get("/api/v1/nodes").await;
     assert_eq!(names(&page), ["car-1"]);
     hub.assert_metrics(&["albireo_hub_statuses_unreadable_total 3\n"]).await;
+    hub.stop().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_whose_name_no_node_may_have_now_can_be_forgotten() {
+    let hub = Hub::fresh().await;
+    let old = "INSERT INTO nodes (name, state, since_ms, why) VALUES ('all', 'offline', 1, '')";
+    script(&hub.config.database.url, old).await;
+    let hub = hub.restart().await;
+    let page = hub.get("/api/v1/nodes").await;
+    assert_eq!(names(&page), [""; 0]);
+    let url = format!("{}/api/v1/nodes/all", hub.http);
+    for expected in [StatusCode::NO_CONTENT, StatusCode::NOT_FOUND] {
+        let answer = reqwest::Client::new().delete(&url).send().await.unwrap();
+        assert_eq!(answer.status(), expected);
+    }
     hub.stop().await;
 }
 

@@ -308,7 +308,7 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
         refused,
     )
     .await;
-    assert_contains(&second["detail"], &["20: takes part in rollout 1"]);
+    assert_contains(&second["detail"], &["20 nodes (takes part in rollout 1)"]);
     let returned = ended(&hub, "/api/v1/rollouts/1").await;
     assert_eq!(returned["phase"], "returned", "{returned}");
     let judged = returned["record"]
@@ -532,7 +532,7 @@ async fn an_invalid_request_is_rejected_with_a_remedy() {
         r#"rollouts {"u": 1e-4, "select": ["all"], "gates": ["joules>=5%"]} -> joules"#,
         r#"rollouts {"u": 1e-4, "select": ["all"], "soke_s": 5} -> soke_s"#,
         r#"rollouts {"select": ["all"]} -> threshold"#,
-        r#"rollouts {"u": 1e-4, "select": ["all"]} -> select: no selected node"#,
+        r#"rollouts {"u": 1e-4, "select": ["all"]} -> select: no node is selected"#,
         r#"trials {"values": [{"u": 1e-4}]} -> values"#,
         r#"target {"select": ["all"]} -> must have a target"#,
         r#"target {"target": 0.5, "select": ["all"]} -> target: "#,

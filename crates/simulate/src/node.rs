@@ -254,7 +254,7 @@ impl SimNode {
         self.seq += 1;
         StatusMessage {
             v: VERSION,
-            run: mix(self.seed, DRAW_RUN) as u32,
+            run: self.run(),
             started_ns: self.started_ns,
             seq,
             t_ns: now_ns,
@@ -263,6 +263,11 @@ impl SimNode {
             revision: self.revision,
             full,
         }
+    }
+
+    /// The number of this run of the process, another one whenever the fleet is started.
+    fn run(&self) -> u32 {
+        mix(mix(self.seed, self.started_ns), DRAW_RUN) as u32
     }
 
     fn full(&self) -> NodeStatus {
@@ -327,6 +332,24 @@ mod tests {
             setting: Some(DesiredSetting::Threshold(Threshold::new("u", value))),
             ..Desired::nothing()
         }
+    }
+
+    #[test]
+    fn a_fleet_that_is_started_again_has_other_runs_and_the_same_reports() {
+        let options = Arc::new(Options {
+            backlog: 3,
+            seed: 1,
+            ..Options::default()
+        });
+        let mut first = SimNode::new(0, &options, 1_000_000_000_000_000_000);
+        let mut second = SimNode::new(0, &options, 1_000_000_060_000_000_000);
+        assert_ne!(first.status(0).run, second.status(0).run);
+        assert_eq!(first.status(0).run, first.status(1).run);
+        let counts = |node: &SimNode| -> Vec<_> {
+            let batch = node.batch(3, 0).unwrap();
+            batch.reports.iter().map(|report| report.frames).collect()
+        };
+        assert_eq!(counts(&first), counts(&second));
     }
 
     #[test]

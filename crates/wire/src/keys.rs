@@ -30,25 +30,42 @@ pub fn check_segment(what: &str, name: &str) -> Result<(), KeyError> {
 
 /// Longest name of a node, bytes: it is the first column of every table, and a part of every key.
 const LONGEST_NODE_NAME: usize = 64;
+/// Longest name of a camera, bytes: with its time, that of a recording must be the name of a file (255 bytes).
+const LONGEST_CAMERA_NAME: usize = 200;
 
-/// Checks that `name` can be the name of a node: one segment of a key that is neither too long, nor only dots, which mean
-/// something else in an HTTP path, nor `all`, which selects every node.
-///
-/// # Errors
-/// [`KeyError`] if it cannot.
-pub fn check_node_name(name: &str) -> Result<(), KeyError> {
-    if name.len() > LONGEST_NODE_NAME {
+/// Checks that `name` can be the name of a `what`: one segment of a key that is neither above `longest` bytes nor only dots,
+/// which mean something else in an HTTP path.
+fn check_name(what: &str, name: &str, longest: usize) -> Result<(), KeyError> {
+    // First, because no shorter name of such characters is allowed, either.
+    check_segment(what, name)?;
+    if name.len() > longest {
         let length = name.len();
         return Err(KeyError(format!(
-            "node name with {length} bytes: it must have at most {LONGEST_NODE_NAME}"
+            "{what} with {length} bytes: it must have at most {longest}"
         )));
     }
-    check_segment("node name", name)?;
     if name.bytes().all(|byte| byte == b'.') {
         return Err(KeyError(format!(
-            "node name `{name}` must not be only dots, which mean something else in an HTTP path"
+            "{what} `{name}` must not be only dots, which mean something else in an HTTP path"
         )));
     }
+    Ok(())
+}
+
+/// Checks that `name` can be the name of a camera.
+///
+/// # Errors
+/// [`KeyError`] if it is too long, only dots, or no segment of a key.
+pub fn check_camera_name(name: &str) -> Result<(), KeyError> {
+    check_name("camera name", name, LONGEST_CAMERA_NAME)
+}
+
+/// Checks that `name` can be the name of a node, which must not be `all`, either: that selects every node.
+///
+/// # Errors
+/// [`KeyError`] if it is too long, only dots, no segment of a key, or `all`.
+pub fn check_node_name(name: &str) -> Result<(), KeyError> {
+    check_name("node name", name, LONGEST_NODE_NAME)?;
     if name == "all" {
         return Err(KeyError(
             "node name `all` would select every node: choose another".to_owned(),
@@ -152,7 +169,7 @@ impl NodeKeys {
     /// # Errors
     /// [`KeyError`] if the name is invalid.
     pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
-        check_segment("camera name", camera)?;
+        check_camera_name(camera)?;
         Ok(CameraKeys {
             root: format!("{}/{}/{camera}", self.prefix, self.node),
         })
@@ -292,6 +309,21 @@ mod tests {
         }
         let refused = NodeKeys::sender_of("albireo/@status/all").unwrap_err();
         assert!(refused.to_string().contains("`all`"), "{refused}");
+    }
+
+    #[test]
+    fn a_camera_name_is_short_and_has_more_than_dots() {
+        let node = NodeKeys::new("albireo", "car-7").unwrap();
+        let longest = "c".repeat(LONGEST_CAMERA_NAME);
+        for name in ["front", "all", "rear.2", longest.as_str()] {
+            assert!(check_camera_name(name).is_ok(), "{name:?}");
+            assert!(node.camera(name).is_ok(), "{name:?}");
+        }
+        let too_long = "c".repeat(LONGEST_CAMERA_NAME + 1);
+        for name in ["", ".", "..", "a/b", too_long.as_str()] {
+            assert!(check_camera_name(name).is_err(), "{name:?}");
+            assert!(node.camera(name).is_err(), "{name:?}");
+        }
     }
 
     #[test]

@@ -39,7 +39,8 @@ pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
 pub use keys::{
-    CameraKeys, KeyError, NodeKeys, check_node_name, check_segment, stream_of_token, stream_token,
+    CameraKeys, KeyError, NodeKeys, check_camera_name, check_node_name, check_segment,
+    stream_of_token, stream_token,
 };
 pub use policy::{PolicyChoice, PolicyMessage};
 pub use report::{

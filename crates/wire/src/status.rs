@@ -234,7 +234,7 @@ mod tests {
     #[test]
     fn the_status_of_as_many_cameras_as_a_node_may_have_is_read_by_a_hub() {
         let camera = json!({
-            "name": "c".repeat(64), "state": "never_seen", "threshold": {"name": "lambda", "value": 1.0 / 3.0},
+            "name": "c".repeat(200), "state": "never_seen", "threshold": {"name": "lambda", "value": 1.0 / 3.0},
             "threshold_source": "configuration",
         });
         let reason = format!("{}; ", "its source cannot be opened ".repeat(20));

@@ -8,7 +8,7 @@ use crate::cli::values::counted;
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
-use albireo_wire::{CameraStatus, EnergyQuality, NodeKeys, NodeStatus, NodeTarget};
+use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget, check_segment};
 use reqwest::Method;
 use serde_json::json;
 use std::io::IsTerminal;
@@ -133,10 +133,12 @@ fn list_of(nodes: &[NodeView]) -> String {
     table(headings, rows)
 }
 
-/// The path of a node in the hub's API. A name that no node can have is refused: `cam-7?old` would be a query to cam-7.
+/// The path of a node in the hub's API. A name that is no part of a path is refused: `cam-7?old` would be a query to cam-7. One
+/// that no node may have any more can still be forgotten.
 fn path_of(node: &str) -> anyhow::Result<String> {
-    let any_prefix = "albireo";
-    NodeKeys::new(any_prefix, node)?;
+    check_segment("node name", node)?;
+    let is_only_dots = node.bytes().all(|byte| byte == b'.');
+    anyhow::ensure!(!is_only_dots, "node name `{node}`: it is only dots");
     Ok(format!("/api/v1/nodes/{node}"))
 }
 
@@ -314,9 +316,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_no_node_can_have_is_no_path() {
+    fn a_name_that_is_no_part_of_a_path_is_refused_and_one_that_no_node_may_have_now_is_not() {
         assert_eq!(path_of("cam-7").unwrap(), "/api/v1/nodes/cam-7");
-        for name in ["cam-7?old", "cam-7#old", "../cam-7", "..", "all", ""] {
+        assert_eq!(path_of("all").unwrap(), "/api/v1/nodes/all");
+        for name in ["cam-7?old", "cam-7#old", "../cam-7", "..", ""] {
             let refused = path_of(name).unwrap_err().to_string();
             assert!(refused.contains("node name"), "{refused}");
         }

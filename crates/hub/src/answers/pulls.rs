@@ -3,8 +3,9 @@
 use super::Answers;
 use crate::HubError;
 use crate::ingest::Refusal;
-use albireo_wire::{NodeKeys, RevisionMessage};
+use albireo_wire::{Desired, NodeKeys, RevisionMessage};
 use zenoh::Session;
+use zenoh::bytes::ZBytes;
 use zenoh::query::{Query, Queryable};
 
 impl Answers {
@@ -27,16 +28,20 @@ impl Answers {
         self.counters.count(|counts| counts.pulls += 1);
         // The query waits for its answer, and must not hold its payload meanwhile.
         let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
-        match albireo_wire::read::<RevisionMessage>(&payload.to_bytes()) {
-            Ok(_) => {
-                let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
-                let desired = self.desired(node);
-                self.replies.answer(query, &desired);
-            }
-            Err(error) => {
-                let refusal = Refusal::unreadable(error.to_string());
-                self.replies.refuse(query, &refusal);
-            }
+        match self.answer_to(query.key_expr().as_str(), &payload) {
+            Ok(desired) => self.replies.answer(query, &desired),
+            Err(reason) => self.replies.refuse(query, &Refusal::unreadable(reason)),
         }
+    }
+
+    /// The answer to a pull on a key.
+    ///
+    /// # Errors
+    /// When no node may have the name in the key, or the message cannot be read.
+    fn answer_to(&self, key: &str, payload: &ZBytes) -> Result<Desired, String> {
+        let node = NodeKeys::sender_of(key).map_err(|error| error.to_string())?;
+        albireo_wire::read::<RevisionMessage>(&payload.to_bytes())
+            .map_err(|error| error.to_string())?;
+        Ok(self.desired(node))
     }
 }

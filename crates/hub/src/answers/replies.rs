@@ -3,7 +3,7 @@
 use crate::ingest::{IngestCounters, Refusal};
 use crate::per_node::{PerNode, Place};
 use crate::store::row::beginning;
-use albireo_wire::{NodeKeys, ReportRefusal, VERSION};
+use albireo_wire::{ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -78,7 +78,9 @@ impl Replies {
 
     /// Queues an answer. Returns `None` if it is lost.
     fn queue(&self, query: Query, answer: serde_json::Result<Answer>) -> Option<()> {
-        let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+        // Also of a name that no node may have: such senders do not share their places.
+        let key = query.key_expr().as_str();
+        let node = key.rsplit_once('/').map_or(key, |(_, node)| node);
         let place = self.places.place(node)?;
         let reply = Reply {
             query,

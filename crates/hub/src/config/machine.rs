@@ -12,9 +12,9 @@ impl HubConfig {
         if let Some(file) = &self.http.token_file {
             findings.check("http.token_file", read_token(file));
         }
-        for named in &self.tokens {
+        for (index, named) in self.tokens.iter().enumerate() {
             if let Some(file) = &named.token_file {
-                let key = format!("token.{}.token_file", named.name);
+                let key = format!("token[{index}].token_file");
                 findings.check(key, read_token(file));
             }
         }
@@ -58,8 +58,7 @@ mod tests {
         }
         config.zenoh.config_file = Some(folder.path().join("zenoh.json5"));
         let keys: Vec<String> = config.here().into_iter().map(|found| found.key).collect();
-        let expected = "http.token_file token.spaced.token_file token.folder.token_file token.missing.token_file \
-                        zenoh.config_file";
+        let expected = "http.token_file token[0].token_file token[1].token_file token[2].token_file zenoh.config_file";
         assert_eq!(keys.join(" "), expected);
     }
 }

@@ -70,7 +70,12 @@ impl DatabaseConfig {
 
     pub(super) fn check(&self, findings: &mut Findings) {
         let fault = match self.url.split_once(':') {
-            Some(("postgres" | "postgresql", place)) if place.starts_with("//") => return,
+            Some(("postgres" | "postgresql", place)) if place.starts_with("//") => {
+                if !host_ends_in_password(&self.url) {
+                    return;
+                }
+                "cannot be read: in the password, write @ as %40, / as %2F and # as %23"
+            }
             Some(("sqlite", file)) if file.is_empty() || file.contains(":memory:") => {
                 "names no file: acknowledged reports must survive a restart"
             }
@@ -92,6 +97,19 @@ fn password_of_user(url: &str) -> Option<&str> {
     let (login, _host) = place.rsplit_once('@')?;
     let (_user, password) = login.split_once(':')?;
     Some(password)
+}
+
+/// True if a `/` or `#` of the password ends what is read as the host: an `@` comes after it, and a further `/`.
+fn host_ends_in_password(url: &str) -> bool {
+    let Some((_scheme, behind_scheme)) = url.split_once("://") else {
+        return false;
+    };
+    let (place, _parameters) = behind_scheme.split_once('?').unwrap_or((behind_scheme, ""));
+    let Some((_host, behind_host)) = place.split_once(['/', '#']) else {
+        return false;
+    };
+    // The name of a database may contain an `@`.
+    behind_host.split_once('@').is_some_and(|(_, rest)| rest.contains('/'))
 }
 
 /// The commits and limits of incoming reports: the `[ingest]` section.

@@ -49,6 +49,29 @@ fn an_impossible_value_is_rejected_with_its_key() {
 }
 
 #[test]
+fn a_password_that_ends_the_host_is_rejected_and_not_shown() {
+    for url in [
+        "postgres://u:pa/ss@host/db",
+        "postgres://u:pa#ss@host/db",
+        "postgres://u:p@ss/word@host/db",
+        "postgres://u:12/34@host:5432/db?sslmode=require",
+    ] {
+        let found = problem(&format!("database.url = \"{url}\""));
+        assert!(found.starts_with("database.url: "), "{url}: {found}");
+        assert!(found.contains("/ as %2F"), "{url}: {found}");
+        assert!(!found.contains("ss@"), "{url}: {found}");
+    }
+    for url in [
+        "postgres://u:p%2Fss@host/db",
+        "postgres://u:p@ss@host/db",
+        "postgres://host:5432/my@db",
+        "postgres://u@host/db?password=a@b&host=/run/postgresql",
+    ] {
+        load(&format!("database.url = \"{url}\"")).unwrap();
+    }
+}
+
+#[test]
 fn a_database_url_is_shown_without_its_password_also_one_with_a_question_mark() {
     for (url, expected) in [
         ("postgres://u:secret@host/db", "postgres://u@host/db"),

@@ -21,6 +21,19 @@ const STEP: i64 = 500;
 /// Time between two reads of the database, to which other hubs may write too.
 const READ_PAUSE: Duration = Duration::from_millis(500);
 
+/// The kinds of events.
+const KINDS: [&str; 9] = [
+    "node",
+    "gap",
+    "reset",
+    "set_aside",
+    "clock_off",
+    "refused",
+    "drift",
+    "forgotten",
+    "resync",
+];
+
 /// Selects events.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -30,6 +43,19 @@ pub(super) struct EventSelection {
     last_event_id: Option<i64>,
     /// Only these kinds, separated by commas; all kinds by default.
     types: Option<String>,
+}
+
+impl EventSelection {
+    /// Checks the kinds: with an unknown one the stream would be silent for ever.
+    fn check(&self) -> Result<(), Problem> {
+        let mut types = self.types.iter().flat_map(|types| types.split(','));
+        let Some(unknown) = types.find(|kind| !KINDS.contains(kind)) else {
+            return Ok(());
+        };
+        let all = KINDS.join(", ");
+        let detail = format!("there is no event type `{unknown}`; there are: {all}");
+        Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(KINDS))
+    }
 }
 
 /// The fleet's events, as server-sent events
@@ -46,6 +72,7 @@ pub(super) async fn stream(
     headers: HeaderMap,
     Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
+    selection.check()?;
     let reader_has = match number_in(&headers)? {
         Some(number) => Some(number),
         None => selection.last_event_id,

@@ -214,8 +214,12 @@ pub(super) async fn forget(
     Extension(caller): Extension<Caller>,
     Path(node): Path<String>,
 ) -> Result<StatusCode, Problem> {
-    let known = hub.fleet.view(&node).ok_or_else(|| unknown(&node))?;
-    if known.is_reachable() {
+    let known = hub.fleet.view(&node);
+    // A name that no node may have any more is only in the database.
+    if known.is_none() && !hub.store()?.has_node(&node).await? {
+        return Err(unknown(&node));
+    }
+    if known.is_some_and(|known| known.is_reachable()) {
         let detail = format!(
             "`{node}` is online or degraded and would come back immediately: stop it first"
         );

@@ -59,7 +59,7 @@ counts! {
     database_errors "Transactions that failed" "albireo_hub_database_errors_total";
     answers_lost "Answers that could not be sent" "albireo_hub_answers_lost_total";
     statuses "Status messages received" "albireo_hub_statuses_total";
-    statuses_unreadable "Status messages that cannot be read, or are too large" "albireo_hub_statuses_unreadable_total";
+    statuses_unreadable "Status messages that cannot be read, are too large, or came under a wrong name" "albireo_hub_statuses_unreadable_total";
     pulls "Pulls of nodes for their desired setting" "albireo_hub_pulls_total";
     audit_frames "Skipped frames that were drawn and compared by the audit, in the clips written";
     audit_missed "Skipped frames that were drawn while the detector was too busy";

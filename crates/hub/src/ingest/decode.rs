@@ -6,8 +6,10 @@ use super::plan::{Doubt, Present, key};
 use super::tables::ReportKey;
 use crate::store::row::beginning;
 use albireo_wire::{
-    ClipReport, MOST_REPORTS, ReportAge, VERSION, check_segment, check_version, decompress_batch,
+    ClipReport, MOST_REPORTS, ReportAge, VERSION, check_camera_name, check_version,
+    decompress_batch,
 };
+use bytes::Bytes;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
@@ -19,8 +21,8 @@ const LONGEST_ASIDE: usize = 16 << 10;
 #[derive(Debug)]
 pub struct Batch {
     pub(crate) node: String,
-    /// What came, for the text of a report that is set aside.
-    payload: Vec<u8>,
+    /// What came, for the texts of reports that are set aside.
+    payload: Bytes,
     /// Bytes of its JSON.
     pub(crate) bytes: usize,
     /// True if the clocks of hub and node agree.
@@ -73,15 +75,21 @@ struct RawBatch<'a> {
 }
 
 impl Batch {
-    /// The text of a report as it came, or the beginning of a long one. It is read once more, because few reports are set
-    /// aside, and the texts of all would be ten times as large as what came.
-    pub(crate) fn text(&self, report: usize) -> String {
+    /// The texts of these reports as they came, or the beginnings of long ones. The batch is read once more, because few
+    /// reports are set aside, and the texts of all would be ten times as large as what came.
+    pub(crate) fn texts(&self, reports: &[usize]) -> Vec<String> {
+        if reports.is_empty() {
+            return Vec::new();
+        }
         let json = decompress_batch(&self.payload).unwrap_or_default();
-        let Ok(batch) = serde_json::from_slice::<RawBatch<'_>>(&json) else {
-            return String::new();
-        };
-        let text = batch.reports.get(report).map_or("", |raw| raw.get());
-        text[..text.floor_char_boundary(LONGEST_ASIDE)].to_owned()
+        let batch = serde_json::from_slice::<RawBatch<'_>>(&json).ok();
+        let mut texts = Vec::with_capacity(reports.len());
+        for report in reports {
+            let raw = batch.as_ref().and_then(|batch| batch.reports.get(*report));
+            let text = raw.map_or("", |raw| raw.get());
+            texts.push(text[..text.floor_char_boundary(LONGEST_ASIDE)].to_owned());
+        }
+        texts
     }
 }
 
@@ -89,7 +97,7 @@ impl Batch {
 ///
 /// # Errors
 /// The reason that the whole batch is refused. An invalid report in it is no reason.
-pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
+pub fn decode(node: &str, payload: &Bytes, hub_ms: i64) -> Result<Batch, String> {
     let json = decompress_batch(payload).map_err(|error| error.to_string())?;
     // A batch is read once: only one that cannot be read is searched for another version.
     let batch: RawBatch<'_> = serde_json::from_slice(&json)
@@ -124,7 +132,7 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
     }
     Ok(Batch {
         node: batch.node,
-        payload: payload.to_vec(),
+        payload: payload.clone(),
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
         reports,
@@ -184,7 +192,7 @@ fn checked_clip(
             "the report names node `{other}`, in a batch of node `{node}`"
         ));
     }
-    check_segment("camera name", &report.camera).map_err(|error| error.to_string())?;
+    check_camera_name(&report.camera).map_err(|error| error.to_string())?;
     clip(report, present, behind_ms)
 }
 

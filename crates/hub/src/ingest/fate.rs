@@ -3,9 +3,8 @@
 use super::clip::Clip;
 use super::counters::IngestCounts;
 use super::decode::{Received, Rejected};
-use super::limits::NEW_CAMERAS;
 use super::plan::{Doubt, Seen};
-use super::tables::{ReportCountsRow, ReportKey};
+use super::tables::{MOST_CAMERA_NAMES, ReportCountsRow, ReportKey};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
 
@@ -79,9 +78,11 @@ impl<'a> Fate<'a> {
             return Self::Again;
         }
         if !has_place(&clip.camera) {
-            let most = NEW_CAMERAS.most;
             return Self::Invalid {
-                reason: format!("the node has had {most} new cameras today"),
+                reason: format!(
+                    "the node has had cameras under {MOST_CAMERA_NAMES} names: give its cameras earlier names, or the \
+                     node another one"
+                ),
             };
         }
         Self::Stored(key, clip)
@@ -260,6 +261,7 @@ mod tests {
         ReportCountsRow {
             name: "car-1".to_owned(),
             node_id: 1,
+            cameras: 1,
             totals: ReportCounts::default(),
             counts: Default::default(),
         }
@@ -288,10 +290,13 @@ mod tests {
             assert_eq!(reason, "a doubt");
             assert!(noted.is_some(), "its identity is to be forgotten");
         }
-        let one_too_many = Fate::Invalid {
-            reason: "the node has had 512 new cameras today".to_owned(),
+        let Fate::Invalid { reason } = Fate::of(&given, New, None, has_too_many) else {
+            panic!("it has one camera too many");
         };
-        assert_eq!(Fate::of(&given, New, None, has_too_many), one_too_many);
+        assert!(
+            reason.starts_with("the node has had cameras under 4096 names"),
+            "{reason}"
+        );
         let old = Fate::TooOld {
             reason: "a reason",
             noted: None,

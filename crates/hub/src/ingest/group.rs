@@ -4,12 +4,12 @@ use super::clip::{Clip, SetupRow, StoredClipRow};
 use super::decode::{Batch, Received};
 use super::fate::{BatchResult, Fate, Identity};
 use super::limits::EntryLimit;
-use super::tables::{ReportCountsRow, ReportKey};
+use super::tables::{MOST_CAMERA_NAMES, ReportCountsRow, ReportKey};
 use crate::store::row::{Columns, IntoRow};
 use crate::store::{Database, StoreError};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::MOST_CAMERAS;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use uuid::Uuid;
 
 /// The row of an invalid report.
@@ -40,7 +40,7 @@ pub(super) struct Group {
     now_ms: i64,
     /// The nodes' counts of reports, by name.
     nodes: HashMap<String, ReportCountsRow>,
-    /// The ids of their cameras, by node id and name.
+    /// The ids of those of their cameras that the batches name, by node id and name.
     cameras: HashMap<i64, HashMap<String, i64>>,
     /// The identities that were not stored before this group.
     new: BTreeSet<Uuid>,
@@ -62,7 +62,7 @@ impl Group {
         names.sort_unstable();
         names.dedup();
         let nodes = database.reporting_nodes(&names, now_ms)?;
-        let cameras = database.cameras(&names)?;
+        let cameras = database.cameras(&camera_names(batches, &nodes))?;
         let valid = batches
             .iter()
             .flat_map(|batch| &batch.reports)
@@ -89,10 +89,11 @@ impl Group {
         database: &mut dyn Database,
         batch: &Batch,
         aside_limit: &mut EntryLimit,
-        camera_limit: &mut EntryLimit,
     ) -> Result<BatchResult, StoreError> {
         let mut result = BatchResult::default();
         let mut node = self.nodes.remove(&batch.node).ok_or_else(|| lost("a node"))?;
+        let rows_before = self.aside.len();
+        let mut aside = Vec::new();
         for (index, report) in batch.reports.iter().enumerate() {
             let identity = self.identity(report);
             let doubt = report
@@ -101,24 +102,26 @@ impl Group {
                 .filter(|doubt| !node.counts.lack(report.count, doubt.first));
             let cameras = self.cameras.entry(node.node_id).or_default();
             let fate = Fate::of(report, identity, doubt, |camera| {
-                cameras.contains_key(camera) || camera_limit.has_room(&batch.node, "", self.now_ms)
+                cameras.contains_key(camera) || node.cameras < MOST_CAMERA_NAMES
             });
             match &fate {
                 Fate::Stored(key, clip) => {
                     let has_new_camera = self.store(database, node.node_id, *key, clip)?;
-                    if has_new_camera {
-                        camera_limit.count(&batch.node, "", self.now_ms);
-                    }
+                    node.cameras += i64::from(has_new_camera);
                 }
                 Fate::TooOld { noted, .. } => self.refused.extend(noted),
                 Fate::Invalid { reason } => {
                     if aside_limit.allows(&batch.node, "", self.now_ms) {
-                        self.set_aside(node.node_id, report, reason, batch.text(index));
+                        aside.push(index);
+                        self.set_aside(node.node_id, report, reason);
                     }
                 }
                 Fate::Again => {}
             }
             result.add(report, &fate, &mut node);
+        }
+        for (row, text) in self.aside[rows_before..].iter_mut().zip(batch.texts(&aside)) {
+            row.body = text;
         }
         result.end(&mut node, self.now_ms);
         self.nodes.insert(batch.node.clone(), node);
@@ -127,9 +130,8 @@ impl Group {
 
     /// The number of cameras of a batch's node, as far as they count for its share.
     pub(super) fn cameras_of(&self, batch: &Batch) -> usize {
-        let node = self.nodes.get(&batch.node);
-        let cameras = node.and_then(|node| self.cameras.get(&node.node_id));
-        cameras.map_or(0, HashMap::len).min(MOST_CAMERAS)
+        let cameras = self.nodes.get(&batch.node).map_or(0, |node| node.cameras);
+        usize::try_from(cameras).unwrap_or(0).min(MOST_CAMERAS)
     }
 
     /// What is known of the identity of a report. An identity is new only for the first report of this group that has it.
@@ -181,13 +183,14 @@ impl Group {
         Ok(known.is_none())
     }
 
-    fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str, text: String) {
+    /// Collects the row of an invalid report. Its text follows at the end of its batch, which is read once for all of them.
+    fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str) {
         self.aside.push(SetAsideRow {
             node_id,
             report_id: report.id.map(|id| id.to_string()),
             received_ms: self.now_ms,
             cause: reason.to_owned(),
-            body: text,
+            body: String::new(),
         });
     }
 
@@ -199,6 +202,26 @@ impl Group {
         database.insert(&self.aside, "")?;
         database.insert_clips(&self.clips)
     }
+}
+
+/// The names of the cameras in the valid reports of batches, by the id of their node.
+fn camera_names<'a>(
+    batches: &'a [Batch],
+    nodes: &HashMap<String, ReportCountsRow>,
+) -> BTreeMap<i64, BTreeSet<&'a str>> {
+    let mut names = BTreeMap::<i64, BTreeSet<&str>>::new();
+    for batch in batches {
+        let Some(node) = nodes.get(&batch.node) else {
+            continue;
+        };
+        let of_node = names.entry(node.node_id).or_default();
+        for report in &batch.reports {
+            if let Ok((_, clip)) = &report.content {
+                of_node.insert(&clip.camera);
+            }
+        }
+    }
+    names
 }
 
 fn lost(what: &str) -> StoreError {

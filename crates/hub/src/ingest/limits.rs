@@ -3,7 +3,6 @@
 use crate::per_node::{PerNode, Place};
 use albireo_service::clock::DAY_MS;
 use albireo_service::config::DAY_S;
-use albireo_wire::MOST_CAMERAS;
 use parking_lot::Mutex;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -38,12 +37,6 @@ pub(super) const EVENTS: EntryRate = EntryRate {
 pub(super) const PRESENCE: EntryRate = EntryRate {
     most: 60,
     span_ms: 3_600_000,
-};
-/// Most cameras that are added to a node: each stays, so that a node must not invent one after the other. It may give all of its
-/// cameras other names a few times.
-pub(super) const NEW_CAMERAS: EntryRate = EntryRate {
-    most: 4 * MOST_CAMERAS as u32,
-    span_ms: DAY_MS,
 };
 /// Most invalid reports of a node that are kept.
 pub(super) const SET_ASIDE: EntryRate = EntryRate {
@@ -172,22 +165,6 @@ impl EntryLimit {
 
     /// Counts one more entry of a node, and returns true if it may be written.
     pub(crate) fn allows(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
-        let has_room = self.has_room(node, kind, at_ms);
-        self.count(node, kind, at_ms);
-        has_room
-    }
-
-    /// Returns true if one more entry of a node may be written.
-    pub(crate) fn has_room(&self, node: &str, kind: &'static str, at_ms: i64) -> bool {
-        if self.span != at_ms.div_euclid(self.rate.span_ms) {
-            return true;
-        }
-        let count = self.counts.get(&(node.to_owned(), kind));
-        count.is_none_or(|count| *count < self.rate.most)
-    }
-
-    /// Counts one more entry of a node.
-    pub(crate) fn count(&mut self, node: &str, kind: &'static str, at_ms: i64) {
         let span = at_ms.div_euclid(self.rate.span_ms);
         if self.span != span {
             self.span = span;
@@ -197,6 +174,7 @@ impl EntryLimit {
         self.since_begin.push(entry.clone());
         let count = self.counts.entry(entry).or_default();
         *count = count.saturating_add(1);
+        *count <= self.rate.most
     }
 }
 

@@ -156,33 +156,38 @@ pub(crate) enum Seen {
 /// The running counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
-    /// The first count that was received, or the one behind the last range that was displaced; 0 before any report. The
-    /// hub does not know whether it lacks reports with lower counts.
+    /// The first count that was received; 0 before any report. The hub does not know whether it lacks reports with lower
+    /// counts.
     base: u64,
     /// The highest count since then.
     highest: u64,
     /// Ranges of counts that were not received, also below `base`: a database that was restored from a backup made
     /// before the node's first report lacks those.
     ranges: Vec<(u64, u64)>,
+    /// From the first count that was displaced to the last one; zeros without any. The hub does not know which of these it
+    /// lacks.
+    displaced: (u64, u64),
 }
 
 impl Counts {
-    /// Reads `base`, `highest` and `ranges`.
+    /// Reads `base`, `highest`, `ranges` and `displaced`.
     pub(crate) fn from_row(row: &mut Row) -> Result<Self, StoreError> {
         Ok(Self {
             base: row.take()?,
             highest: row.take()?,
             ranges: row.take_json()?,
+            displaced: row.take_json()?,
         })
     }
 
-    /// The cells of `base`, `highest` and `ranges`.
-    pub(crate) fn cells(&self) -> Result<[Cell; 3], StoreError> {
+    /// The cells of `base`, `highest`, `ranges` and `displaced`.
+    pub(crate) fn cells(&self) -> Result<[Cell; 4], StoreError> {
         // Both are at most `LARGEST_COUNT`.
         Ok([
             self.base.cast_signed().into(),
             self.highest.cast_signed().into(),
             Cell::json(&self.ranges)?,
+            Cell::json(&self.displaced)?,
         ])
     }
 
@@ -246,22 +251,27 @@ impl Counts {
             self.displace_oldest();
             return Seen::Expected;
         }
-        if !is_new || count < self.base {
+        let (first, last) = self.displaced;
+        let was_displaced = (first..=last).contains(&count);
+        if !is_new || count < self.base || was_displaced {
             return Seen::Expected;
         }
         *self = Self {
             base: count,
             highest: count,
-            ranges: Vec::new(),
+            ..Self::default()
         };
         Seen::Reset
     }
 
-    /// Drops the oldest ranges beyond [`MOST_RANGES`]. Their reports may still come, so counts are told from there on.
+    /// Drops the oldest ranges beyond [`MOST_RANGES`]. Their reports may still come, and are no reset then.
     fn displace_oldest(&mut self) {
         while self.ranges.len() > MOST_RANGES {
-            let (_, last) = self.ranges.remove(0);
-            self.base = self.base.max(last + 1);
+            let (first, last) = self.ranges.remove(0);
+            if self.displaced.0 == 0 {
+                self.displaced.0 = first;
+            }
+            self.displaced.1 = last;
         }
     }
 }

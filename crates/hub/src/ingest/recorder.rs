@@ -3,7 +3,7 @@
 use super::counters::IngestCounts;
 use super::decode::Batch;
 use super::group::Group;
-use super::limits::{ClockCheck, EVENTS, EntryLimit, NEW_CAMERAS, PRESENCE, SET_ASIDE};
+use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
 use super::outcomes::Written;
 use super::retention::{DeleteOld, retain};
 use crate::config::HistoryConfig;
@@ -33,7 +33,6 @@ pub struct Recorder {
     event_limit: EntryLimit,
     presence_limit: EntryLimit,
     aside_limit: EntryLimit,
-    camera_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
     /// True if the next transaction writes a row in any case.
@@ -65,7 +64,6 @@ impl Recorder {
             event_limit: EntryLimit::new(EVENTS),
             presence_limit: EntryLimit::new(PRESENCE),
             aside_limit: EntryLimit::new(SET_ASIDE),
-            camera_limit: EntryLimit::new(NEW_CAMERAS),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
             proves_writing: false,
@@ -128,12 +126,11 @@ impl Recorder {
         recorded
     }
 
-    fn limits(&mut self) -> [&mut EntryLimit; 4] {
+    fn limits(&mut self) -> [&mut EntryLimit; 3] {
         [
             &mut self.event_limit,
             &mut self.presence_limit,
             &mut self.aside_limit,
-            &mut self.camera_limit,
         ]
     }
 
@@ -205,12 +202,7 @@ impl Recorder {
         let mut group = Group::load(database, batches, now_ms)?;
         let mut recorded = Recorded::default();
         for batch in batches {
-            let result = group.add(
-                database,
-                batch,
-                &mut self.aside_limit,
-                &mut self.camera_limit,
-            )?;
+            let result = group.add(database, batch, &mut self.aside_limit)?;
             for event in result.events {
                 if self.event_limit.allows(&batch.node, event.kind, now_ms) {
                     events.push(EventRow::of(now_ms, event.kind, &batch.node, event.detail));

@@ -5,7 +5,7 @@ use super::plan::Counts;
 use crate::store::row::{Columns, FromRow, IntoRow, Row, read_all};
 use crate::store::{Database, DatabaseKind, StoreError};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -29,6 +29,9 @@ const ADD_SUMS: [AddSums; 2] = [
 
 /// The largest sum. Sums saturate there, so that none is too large for its column.
 const LARGEST_SUM: i64 = 1 << 62;
+
+/// Most cameras that are kept of a node, under whatever names: each stays, because sums over hours do.
+pub(super) const MOST_CAMERA_NAMES: i64 = 4096;
 
 /// The unique key of a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,6 +62,8 @@ pub(crate) struct ReportCountsRow {
     /// The node's name, which is in another table.
     pub(crate) name: String,
     pub(crate) node_id: i64,
+    /// The number of its cameras, which are in another table.
+    pub(crate) cameras: i64,
     pub(crate) totals: ReportCounts,
     pub(crate) counts: Counts,
 }
@@ -68,6 +73,7 @@ impl FromRow for ReportCountsRow {
         Ok(Self {
             name: row.take()?,
             node_id: row.take()?,
+            cameras: row.take()?,
             totals: ReportCounts::from_row(row)?,
             counts: Counts::from_row(row)?,
         })
@@ -79,7 +85,7 @@ impl IntoRow for ReportCountsRow {
 
     fn columns(&self) -> Result<Columns<'static>, StoreError> {
         let totals = &self.totals;
-        let [base, highest, ranges] = self.counts.cells()?;
+        let [base, highest, ranges, displaced] = self.counts.cells()?;
         Ok(vec![
             ("node_id", self.node_id.into()),
             ("first_ms", totals.first_ms.into()),
@@ -95,6 +101,7 @@ impl IntoRow for ReportCountsRow {
             ("base", base),
             ("highest", highest),
             ("ranges", ranges),
+            ("displaced", displaced),
         ])
     }
 }
@@ -190,14 +197,33 @@ impl dyn Database + '_ {
         Ok(nodes)
     }
 
-    /// Returns the ids of the cameras of these nodes, by node id and name.
+    /// Returns the ids of the cameras with these names, which are by node id, by node id and name. A camera that its node has
+    /// not had yet is left out.
     pub(crate) fn cameras(
         &mut self,
-        nodes: &[&str],
+        names: &BTreeMap<i64, BTreeSet<&str>>,
     ) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
+        let text = match self.kind() {
+            DatabaseKind::Sqlite => {
+                "SELECT id, node_id, name FROM cameras WHERE node_id = ?1 AND name = ?2"
+            }
+            DatabaseKind::Postgres => {
+                "SELECT c.id, c.node_id, c.name FROM cameras c \
+                 JOIN jsonb_to_recordset($1::jsonb) AS k (node_id BIGINT, name TEXT) \
+                 ON c.node_id = k.node_id AND c.name = k.name"
+            }
+        };
+        let mut rows: Vec<Columns<'static>> = Vec::new();
+        for (node_id, names) in names {
+            for name in names {
+                rows.push(vec![
+                    ("node_id", (*node_id).into()),
+                    ("name", (*name).into()),
+                ]);
+            }
+        }
         let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
-        let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
-        for camera in read_all::<CameraRow>(self.among(text, nodes)?)? {
+        for camera in read_all::<CameraRow>(self.each(text, rows)?)? {
             cameras.entry(camera.node_id).or_default().insert(camera.name, camera.id);
         }
         Ok(cameras)
@@ -266,7 +292,7 @@ impl dyn Database + '_ {
         let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
-                        missing = excluded.missing, ranges = excluded.ranges";
+                        missing = excluded.missing, ranges = excluded.ranges, displaced = excluded.displaced";
         self.insert(rows, conflict)?;
         Ok(())
     }

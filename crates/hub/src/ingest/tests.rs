@@ -281,6 +281,36 @@ fn a_late_report_is_no_reset_however_many_gaps_there_are() {
 }
 
 #[test]
+fn a_reset_is_noticed_although_gaps_were_displaced() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[1, 2, 3, 4, 5]);
+    for gap in 0..=40 {
+        see_new(&mut counts, 1000 + 2 * gap);
+    }
+    // A late report of a gap that was displaced is none.
+    assert_eq!(see(&mut counts, &[7, 1001]), [Seen::Expected; 2]);
+    // Nor is one of a gap that is kept.
+    assert_eq!(see_new(&mut counts, 1079), Seen::Expected);
+    assert_eq!(see_new(&mut counts, 1), Seen::Reset);
+    for count in 2..20 {
+        assert_eq!(see_new(&mut counts, count), Seen::Expected, "{count}");
+    }
+    let gap = Seen::Gap {
+        first: 20,
+        last: 29,
+    };
+    assert_eq!(see_new(&mut counts, 30), gap);
+    assert_eq!(counts.wanted(), [(20, 29)]);
+    assert!(counts.lack(Some(25), true));
+    // A known count above all that were displaced.
+    let mut counts = Counts::default();
+    for gap in 0..=40 {
+        see_new(&mut counts, 1 + 2 * gap);
+    }
+    assert_eq!(see_new(&mut counts, 79), Seen::Reset);
+}
+
+#[test]
 fn a_gap_that_is_split_displaces_the_oldest_one() {
     let mut counts = Counts::default();
     for gap in 0..=32 {
@@ -298,7 +328,13 @@ fn counts_are_read_back_from_their_row_unchanged() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);
     let cells = counts.cells().unwrap();
-    assert_eq!(cells[2], Cell::from("[[1,2],[5,8]]"));
+    assert_eq!(cells[2..], ["[[1,2],[5,8]]", "[0,0]"].map(Cell::from));
+    // More gaps than are kept.
+    for gap in 0..=50 {
+        see_new(&mut counts, 20 + 2 * gap);
+    }
+    let cells = counts.cells().unwrap();
+    assert_eq!(cells[3], Cell::from("[1,55]"));
     let mut row = Row::new(cells.to_vec());
     assert_eq!(Counts::from_row(&mut row).unwrap(), counts);
 }

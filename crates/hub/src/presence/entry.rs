@@ -2,8 +2,11 @@
 
 use super::node::{NodeView, PresenceState};
 use crate::store::row::beginning;
-use albireo_wire::{HealthState, NodeStatus};
+use albireo_wire::{HealthState, NodeStatus, StatusMessage};
 use std::time::{Duration, Instant};
+
+/// Most messages that overtake one on its way. The highest number before one that is further behind was a stray.
+const MOST_OVERTAKING: u64 = 100;
 
 /// The length of a status as JSON, bytes.
 pub(super) fn json_bytes(status: &NodeStatus) -> usize {
@@ -32,6 +35,8 @@ pub(crate) struct NodeEntry {
     pub(super) token_gone: bool,
     /// The number of the present run of its process; `None` until its first status.
     pub(super) run: Option<u32>,
+    /// When that process started, by its own clock.
+    pub(super) started_ns: u64,
     /// The run before the present one.
     before: Option<EarlierRun>,
     /// Present while several nodes seem to use the name.
@@ -95,24 +100,31 @@ impl NodeEntry {
     /// Notes the number of a message of the present run. Returns false if a later one overtook it; after a gap, a full
     /// status may be lost.
     pub(super) fn note_seq(&mut self, seq: u64) -> bool {
-        if seq <= self.seq {
+        if let Some(behind) = self.seq.checked_sub(seq)
+            && behind < MOST_OVERTAKING
+        {
             return false;
         }
-        if seq - self.seq > 1 {
+        if self.seq.checked_add(1) != Some(seq) {
             self.needs_full = true;
         }
         self.seq = seq;
         true
     }
 
-    /// Notes a run that differs from the present one, with the number of its message. A new run is a restart; a run
-    /// that comes back after another one means that two nodes have this name.
-    pub(super) fn another_run(&mut self, run: u32, seq: u64, now: Instant, silent: Duration) {
+    /// Notes the message of a run that differs from the present one. A new run is a restart, also under the number of the
+    /// one before; a run that comes back after another one means that two nodes have this name.
+    pub(super) fn another_run(&mut self, message: &StatusMessage, now: Instant, silent: Duration) {
+        let run = message.run;
         self.needs_full = true;
-        self.seq = seq;
+        self.seq = message.seq;
+        self.started_ns = message.started_ns;
         let Some(last) = self.run.replace(run) else {
             return;
         };
+        if last == run {
+            return;
+        }
         if let Some(before) = self.before
             && before.run == run
             && now.saturating_duration_since(before.heard) < silent

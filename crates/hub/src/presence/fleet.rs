@@ -4,6 +4,7 @@ use super::entry::{NodeEntry, json_bytes};
 use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
+use crate::store::row::beginning;
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_service::readiness::Fault;
 use albireo_wire::{Heartbeat, StatusMessage, check_node_name};
@@ -14,6 +15,8 @@ use std::time::{Duration, Instant};
 
 /// Shortest time between two notices to a node.
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
+/// Most names in a warning.
+const MOST_SHOWN: usize = 5;
 /// Most nodes written in one transaction.
 const MOST_WRITTEN: usize = 2000;
 /// A fleet sends about this many heartbeats per second, as far as that is possible with the times below.
@@ -132,13 +135,15 @@ impl Fleet {
     }
 
     /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`. A name of an
-    /// earlier version that no node may have now is left out: nobody could select or forget it.
+    /// earlier version that no node may have now is left out, with a warning: nobody could select it.
     pub fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
         let mut known = self.nodes.write();
         let mut sums = self.sums.lock();
+        let mut left_out = Vec::new();
         for node in nodes {
             let name = node.node.clone();
             if check_node_name(&name).is_err() {
+                left_out.push(name);
                 continue;
             }
             let entry = NodeEntry::remembered(node, now);
@@ -147,20 +152,31 @@ impl Fleet {
                 sums.remove(&before);
             }
         }
+        if !left_out.is_empty() {
+            let shown = left_out.iter().take(MOST_SHOWN).map(|name| beginning(name));
+            let first = shown.collect::<Vec<_>>().join(", ");
+            tracing::warn!(
+                nodes = left_out.len(),
+                first,
+                "nodes whose names no node may have any more are not listed; `albireo fleet forget NAME` forgets one"
+            );
+        }
     }
 
     /// Applies a status. Returns true if the node should be asked for a full status.
     pub fn apply_status(&self, node: &str, message: StatusMessage, now: Now) -> bool {
         let silent_s = self.config.silent_after_s * slowdown(self.nodes.read().len());
         self.heard(node, now, |entry| {
-            if entry.run == Some(message.run) {
+            let is_same_process =
+                entry.run == Some(message.run) && message.started_ns <= entry.started_ns;
+            if is_same_process {
                 let is_later = entry.note_seq(message.seq);
                 if !is_later {
                     return News::Nothing;
                 }
             } else {
                 let silent = Duration::from_secs_f64(silent_s);
-                entry.another_run(message.run, message.seq, now.at, silent);
+                entry.another_run(&message, now.at, silent);
             }
             let mut news = News::Alive;
             if entry.node.revision != message.revision {

@@ -189,6 +189,13 @@ impl Store {
         read_all(self.query(text, Vec::new()).await?)
     }
 
+    /// True if the list has a node of this name, also of one that no node may have any more.
+    pub(crate) async fn has_node(&self, name: &str) -> Result<bool, StoreError> {
+        let text = "SELECT id FROM nodes WHERE name = $1 AND state <> 'forgotten'";
+        let rows = self.query(text, vec![name.into()]).await?;
+        Ok(!rows.is_empty())
+    }
+
     /// The energy and skip rate of the clips of the day that begins at `since_s`, by node.
     pub(crate) async fn today(
         &self,

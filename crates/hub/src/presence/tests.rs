@@ -197,6 +197,55 @@ fn a_message_that_a_later_one_overtook_changes_nothing() {
 }
 
 #[test]
+fn a_process_that_starts_again_under_its_old_number_is_heard_and_is_no_second_node() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    for started_ns in 1..=4 {
+        for seq in 0..3 {
+            let waiting = 10 * started_ns + seq;
+            let status = StatusMessage {
+                started_ns,
+                waiting,
+                full: Some(Box::new(STATUS.clone())),
+                ..life(seq)
+            };
+            fleet.apply_status("a", status, after(start, waiting));
+            let view = fleet.view("a").unwrap();
+            assert_eq!(view.waiting, waiting);
+            assert_eq!(view.state, PresenceState::Online);
+            assert!(!fleet.needs_full_status("a"));
+        }
+    }
+}
+
+#[test]
+fn one_stray_number_mutes_no_node() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let with = |seq, waiting| StatusMessage {
+        waiting,
+        full: Some(Box::new(STATUS.clone())),
+        ..life(seq)
+    };
+    fleet.apply_status("a", with(0, 1), after(start, 0));
+    for (number, stray) in (0..).zip([200, u64::MAX]) {
+        fleet.apply_status("a", life(stray), after(start, 1));
+        let seq = 2 * number + 1;
+        let heartbeat = Heartbeat {
+            run: life(seq).run,
+            seq,
+            waiting: 5,
+        };
+        fleet.alive("a", heartbeat, after(start, 2));
+        assert_eq!(fleet.view("a").unwrap().waiting, 5, "{stray}");
+        assert!(fleet.needs_full_status("a"));
+        fleet.apply_status("a", with(seq + 1, 6), after(start, 3));
+        assert_eq!(fleet.view("a").unwrap().waiting, 6, "{stray}");
+        assert!(!fleet.needs_full_status("a"));
+    }
+}
+
+#[test]
 fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_full_status() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();

@@ -39,9 +39,23 @@ impl From<sqlx::Error> for StoreError {
                     Self::Statement(format!("{database} (code {code})"))
                 }
             }
-            sqlx::Error::Configuration(reason) => Self::Refused(format!("database.url: {reason}")),
-            other => Self::Unavailable(format!("the database cannot be reached: {other}")),
+            sqlx::Error::Configuration(reason) => {
+                Self::Refused(with_remedy(format!("database.url: {reason}")))
+            }
+            other => {
+                let text = format!("the database cannot be reached: {other}");
+                Self::Unavailable(with_remedy(text))
+            }
         }
+    }
+}
+
+/// Adds the remedy to an error that a password may cause: a character in it ends what is read as the host.
+fn with_remedy(text: String) -> String {
+    if text.contains("invalid port number") || text.contains("failed to lookup address") {
+        text + "; in a password in database.url, write @ as %40, / as %2F and # as %23"
+    } else {
+        text
     }
 }
 
@@ -84,5 +98,24 @@ impl From<StoreError> for Problem {
             StatusCode::INTERNAL_SERVER_ERROR
         };
         Self::new(status, error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_host_that_may_be_a_part_of_the_password_is_reported_with_the_remedy() {
+        let no_port = sqlx::Error::Configuration("invalid port number".into());
+        let lookup = "failed to lookup address information: Name or service not known";
+        let no_host = sqlx::Error::Io(std::io::Error::other(lookup));
+        for error in [no_port, no_host] {
+            let text = StoreError::from(error).to_string();
+            assert!(text.contains("# as %23"), "{text}");
+        }
+        let no_server = sqlx::Error::Io(std::io::ErrorKind::ConnectionRefused.into());
+        let text = StoreError::from(no_server).to_string();
+        assert!(!text.contains("%23"), "{text}");
     }
 }

@@ -7,6 +7,9 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+/// Most links in a row that Linux follows.
+const MOST_LINKS: usize = 40;
+
 /// What a file keeps for as long as it exists, under any path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FileIdentity {
@@ -28,10 +31,13 @@ pub(super) fn without_links(path: &Path) -> PathBuf {
     if let Ok(path) = fs::canonicalize(path) {
         return path;
     }
-    let linked = match fs::read_link(path) {
-        Ok(target) => folder_of(path).join(target),
-        Err(_) => path.to_owned(),
-    };
+    let mut linked = path.to_owned();
+    for _ in 0..MOST_LINKS {
+        let Ok(target) = fs::read_link(&linked) else {
+            break;
+        };
+        linked = folder_of(&linked).join(target);
+    }
     match (fs::canonicalize(folder_of(&linked)), linked.file_name()) {
         (Ok(folder), Some(name)) => folder.join(name),
         _ => linked,
@@ -184,7 +190,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("hub.db");
         let link = folder.path().join("link.db");
-        symlink("hub.db", &link).unwrap();
+        // A link to a link to the file.
+        symlink("link2.db", &link).unwrap();
+        symlink("hub.db", folder.path().join("link2.db")).unwrap();
         let database = |path: &Path| DatabaseFile::new(path.to_str().unwrap());
         // Before the file exists, and after.
         for _ in 0..2 {

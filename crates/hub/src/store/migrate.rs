@@ -4,17 +4,19 @@
 use super::{Database, DatabaseKind, StoreError};
 
 /// The version of the tables, which the schemas store.
-const VERSION: i64 = 16;
+const VERSION: i64 = 17;
 
 /// The statements, for both databases, that bring tables of a version to the next one, in order.
-const STEPS: [(i64, &str); 2] = [
+const STEPS: [(i64, &str); 3] = [
     (14, include_str!("schema/from_14.sql")),
     (15, include_str!("schema/from_15.sql")),
+    (16, include_str!("schema/from_16.sql")),
 ];
 
 /// Creates the tables if there are none, or brings them to this version, in one transaction.
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
+    check_encoding(database)?;
     if tables(database)?.is_empty() {
         let schema = match database.kind() {
             DatabaseKind::Sqlite => include_str!("schema/sqlite.sql"),
@@ -24,6 +26,27 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     }
     upgrade(database)?;
     database.commit()
+}
+
+/// Checks that the database stores every text: nodes choose the names in their reports.
+///
+/// # Errors
+/// [`StoreError::Refused`] if it does not.
+fn check_encoding(database: &mut dyn Database) -> Result<(), StoreError> {
+    // SQLite stores every text.
+    if database.kind() == DatabaseKind::Sqlite {
+        return Ok(());
+    }
+    for encoding in database.texts("SELECT current_setting('server_encoding')")? {
+        // SQL_ASCII stores the bytes of a text as they are.
+        if encoding != "UTF8" && encoding != "SQL_ASCII" {
+            return Err(StoreError::Refused(format!(
+                "the database has the encoding {encoding}, which lacks many characters, and was not changed: create it with \
+                 ENCODING 'UTF8' TEMPLATE template0, or set another one in database.url"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// Brings the tables to this version, within a transaction, and checks that they are those of a hub.

@@ -16,23 +16,49 @@ const MOST: usize = 20;
 /// Longest reason, bytes.
 const LONGEST_WHY: usize = 500;
 
-/// The number of nodes out of `all` that a stage's size means, at least one and at most all: a number, a share of all,
-/// rounded up, or `all`. `None` if it is no size.
-pub(crate) fn stage_size(text: &str, all: usize) -> Option<usize> {
-    let text = text.trim();
-    let wanted = match text.strip_suffix('%') {
-        None if text == "all" => all,
-        None => text.parse().ok().filter(|nodes| *nodes > 0)?,
-        Some(percent) => {
-            let percent: f64 = percent.trim().parse().ok()?;
-            if !(percent > 0.0 && percent <= 100.0) {
-                return None;
-            }
-            // A little less, so that a rounding error does not make 10 % of 30 four nodes.
-            (percent / 100.0 * all as f64 - 1e-9).ceil() as usize
+/// The size of a stage.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum StageSize {
+    /// So many nodes.
+    Nodes(usize),
+    /// So many per cent of all nodes.
+    Percent(f64),
+}
+
+impl StageSize {
+    /// Reads `1`, `10%` or `all`. `None` if it is no size.
+    pub(crate) fn of(text: &str) -> Option<Self> {
+        let text = text.trim();
+        if text == "all" {
+            return Some(Self::Percent(100.0));
         }
-    };
-    Some(wanted.clamp(1, all.max(1)))
+        let Some(percent) = text.strip_suffix('%') else {
+            let nodes: usize = text.parse().ok()?;
+            return (nodes > 0).then_some(Self::Nodes(nodes));
+        };
+        let percent: f64 = percent.trim().parse().ok()?;
+        (percent > 0.0 && percent <= 100.0).then_some(Self::Percent(percent))
+    }
+
+    /// The number of nodes out of `all` that it means, at least one and at most all; a share is rounded up.
+    pub(crate) fn nodes(self, all: usize) -> usize {
+        let wanted = match self {
+            Self::Nodes(nodes) => nodes,
+            // A little less, so that a rounding error does not make 10 % of 30 four nodes.
+            Self::Percent(percent) => (percent / 100.0 * all as f64 - 1e-9).ceil() as usize,
+        };
+        wanted.clamp(1, all.max(1))
+    }
+
+    /// True if it is more than another size whatever the number of nodes: of a number and a share, only all nodes are.
+    fn exceeds(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Nodes(nodes), Self::Nodes(others)) => nodes > others,
+            (Self::Percent(percent), Self::Percent(others)) => percent > others,
+            (Self::Percent(percent), Self::Nodes(_)) => percent >= 100.0,
+            (Self::Nodes(_), Self::Percent(_)) => false,
+        }
+    }
 }
 
 /// The reaction of a rollout to a failed gate.
@@ -203,28 +229,27 @@ impl RolloutPlan {
         if !(1..=MOST).contains(&self.stages.len()) {
             return Err(format!("stages: must be from 1 to {MOST} sizes"));
         }
-        if let Some(wrong) = self.stages.iter().find(|size| stage_size(size, 1).is_none()) {
-            return Err(format!(
-                "stages: `{wrong}` is not the size of a stage; write `1`, `10%` or `all`"
-            ));
-        }
+        self.check_stages()?;
         self.basics.check()
     }
 
-    /// Checks that no stage has fewer of `all` nodes than the one before it: the larger one would be given the value at once.
-    ///
-    /// # Errors
-    /// The first size that is smaller.
-    pub(crate) fn check_growth(&self, all: usize) -> Result<(), String> {
-        for (before, after) in self.stages.iter().zip(self.stages.iter().skip(1)) {
-            let nodes_before = stage_size(before, all);
-            let nodes_after = stage_size(after, all);
-            if nodes_after < nodes_before {
+    /// Checks the sizes of the stages, and that none shrinks: the larger one would be given the value at once.
+    fn check_stages(&self) -> Result<(), String> {
+        let mut sizes: Vec<StageSize> = Vec::new();
+        for text in &self.stages {
+            let Some(size) = StageSize::of(text) else {
                 return Err(format!(
-                    "stages: of {all} nodes `{after}` is fewer than `{before}` before it; each size includes the earlier \
-                     stages, so sizes must grow"
+                    "stages: `{text}` is not the size of a stage; write `1`, `10%` or `all`"
+                ));
+            };
+            if let Some(larger) = sizes.iter().position(|before| before.exceeds(size)) {
+                let before = &self.stages[larger];
+                return Err(format!(
+                    "stages: `{text}` is fewer than `{before}` before it; each size includes the earlier stages, so \
+                     sizes must grow"
                 ));
             }
+            sizes.push(size);
         }
         Ok(())
     }
@@ -232,8 +257,8 @@ impl RolloutPlan {
     /// The number of `all` nodes that have the new value once each stage has begun. A stage that adds no node, as in a small
     /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {
-        let mut ends: Vec<usize> =
-            self.stages.iter().filter_map(|size| stage_size(size, all)).collect();
+        let sizes = self.stages.iter().filter_map(|size| StageSize::of(size));
+        let mut ends: Vec<usize> = sizes.map(|size| size.nodes(all)).collect();
         ends.dedup_by(|end, before| end <= before);
         ends
     }

@@ -22,7 +22,7 @@ const OUTCOMES_EVERY: Duration = Duration::from_millis(100);
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct NewRevision {
     /// Selects the nodes: names, globs, labels, `all`.
-    #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
+    #[schema(value_type = Vec<String>, examples("cam-*", "region=north"))]
     pub select: Selector,
     /// True to report only which nodes would change.
     #[serde(default)]

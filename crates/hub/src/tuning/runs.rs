@@ -138,11 +138,15 @@ impl Tuner {
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
+        let is_nobody_selected = candidates.is_empty() && left_out.is_empty();
         let mut run = match Run::begin(kind, candidates, seed, who, now) {
             Ok(run) => run,
             Err(mut error) => {
-                // Where too few nodes are left, why the others are left out shows what to do.
-                if error.starts_with("select: ") {
+                let has_too_few = error.starts_with("select: ");
+                if has_too_few && is_nobody_selected {
+                    error = "select: no node is selected".to_owned();
+                } else if has_too_few {
+                    // Why the others are left out shows what to do.
                     error += &counted_reasons(&left_out);
                 }
                 return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, error));
@@ -349,8 +353,12 @@ fn counted_reasons(left_out: &[LeftOut]) -> String {
     let mut reasons: Vec<(&str, usize)> = counts.into_iter().collect();
     reasons.sort_by_key(|(_, nodes)| Reverse(*nodes));
     let shown = reasons.iter().take(MOST_REASONS);
-    let shown: Vec<String> = shown.map(|(why, nodes)| format!("{nodes}: {why}")).collect();
-    format!("; left out are {}", shown.join("; "))
+    let mut shown_reasons = Vec::new();
+    for (why, count) in shown {
+        let nodes = if *count == 1 { "node" } else { "nodes" };
+        shown_reasons.push(format!("{count} {nodes} ({why})"));
+    }
+    format!("; left out: {}", shown_reasons.join(", "))
 }
 
 /// The present value of a node that can take part; else the reason that it cannot.
@@ -406,7 +414,8 @@ mod tests {
             left_out("cam-2", "has the value already"),
             left_out("cam-3", "has the value already"),
         ];
-        let expected = "; left out are 2: has the value already; 1: takes part in rollout 2";
+        let expected =
+            "; left out: 2 nodes (has the value already), 1 node (takes part in rollout 2)";
         assert_eq!(counted_reasons(&several), expected);
         assert_eq!(counted_reasons(&[]), "; no other node is selected");
     }

@@ -1,6 +1,7 @@
 -- Nodes with what is known of their reports; zeros where none came yet.
 SELECT n.name,
        n.id AS node_id,
+       (SELECT count(*) FROM cameras c WHERE c.node_id = n.id) AS cameras,
        COALESCE(r.first_ms, 0) AS first_ms,
        COALESCE(r.last_ms, 0) AS last_ms,
        COALESCE(r.stored, 0) AS stored,
@@ -10,7 +11,8 @@ SELECT n.name,
        COALESCE(r.resets, 0) AS resets,
        COALESCE(r.base, 0) AS base,
        COALESCE(r.highest, 0) AS highest,
-       COALESCE(r.ranges, '[]') AS ranges
+       COALESCE(r.ranges, '[]') AS ranges,
+       COALESCE(r.displaced, '[0,0]') AS displaced
 FROM nodes n
 LEFT JOIN report_counts r ON r.node_id = n.id
 WHERE n.name IN

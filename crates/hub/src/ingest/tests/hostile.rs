@@ -1,16 +1,18 @@
 //! Thousands of hostile batches from the payload to the rows, without a network, with a real database.
 
 use crate::config::{DatabaseConfig, HistoryConfig};
-use crate::ingest::limits::{NEW_CAMERAS, PRESENCE, SET_ASIDE};
+use crate::ingest::limits::{PRESENCE, SET_ASIDE};
+use crate::ingest::tables::MOST_CAMERA_NAMES;
 use crate::ingest::{Batch, Recorder, decode};
 use crate::presence::{NodeView, PresenceState};
-use crate::store::Store;
+use crate::store::{Access, Store};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{REPORT_DICTIONARY, VERSION};
+use bytes::Bytes;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use tempfile::TempDir;
 use uuid::{Builder, Uuid};
@@ -176,7 +178,7 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
     let mut refused = 0;
     let mut stored = BTreeSet::<Uuid>::new();
     for number in 1..=batches {
-        match decode("car-1", &payload(&mut random), NOW_MS) {
+        match decode("car-1", &payload(&mut random).into(), NOW_MS) {
             Ok(batch) => group.push(batch),
             Err(error) => {
                 assert!(!error.is_empty());
@@ -231,7 +233,8 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
 /// The batch of these reports in the name of car-1, decoded as a payload of `sender`.
 fn decoded(sender: &str, reports: &Value) -> Result<Batch, String> {
     let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
-    decode(sender, &zstd(batch.to_string().as_bytes()), NOW_MS)
+    let payload = Bytes::from(zstd(batch.to_string().as_bytes()));
+    decode(sender, &payload, NOW_MS)
 }
 
 #[test]
@@ -284,22 +287,89 @@ async fn a_report_of_one_camera_too_many_is_set_aside_whole_and_the_others_are_s
     let folder = tempfile::tempdir().unwrap();
     let now = now();
     let (store, mut recorder) = recorder(&folder, now).await;
-    let most = u64::from(NEW_CAMERAS.most);
-    let reports = of_cameras(1..=most + 1);
+    let most = MOST_CAMERA_NAMES.unsigned_abs();
+    for first in (1..=most).step_by(512) {
+        let batch = decoded("car-1", &json!(of_cameras(first..=first + 511))).unwrap();
+        let done = recorder.record(&[batch], &[], now).unwrap();
+        assert_eq!(done.counts.clips, 512, "{first}");
+    }
+    let mut reports = vec![report(most + 2)];
+    reports[0]["camera"] = "c1".into();
+    reports.extend(of_cameras(most + 1..=most + 1));
     let batch = decoded("car-1", &json!(reports)).unwrap();
     let done = recorder.record(&[batch], &[], now).unwrap();
-    assert_eq!(done.counts.clips, most);
+    assert_eq!(done.counts.clips, 1, "that of a known camera");
     assert_eq!(done.counts.set_aside, 1);
     // What counts for its share does not grow with the names.
     assert_eq!(done.cameras, [albireo_wire::MOST_CAMERAS]);
     let kept = store.set_aside(None, None, 10).await.unwrap();
     let body: Value = serde_json::from_str(&kept[0].body).unwrap();
     assert_eq!(Some(&body), reports.last());
-    // A known camera is stored on the same day.
-    let mut again = report(most + 2);
-    again["camera"] = "c1".into();
-    let batch = decoded("car-1", &json!([again])).unwrap();
-    let done = recorder.record(&[batch], &[], now).unwrap();
-    assert_eq!(done.counts.clips, 1);
     store.close().await;
+}
+
+#[tokio::test]
+async fn only_the_cameras_that_a_batch_names_are_read_of_its_node() {
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
+    let (store, mut recorder) = recorder(&folder, now).await;
+    for (node, numbers) in [("car-1", 1..=3), ("car-2", 4..=6)] {
+        let mut of_node = of_cameras(numbers);
+        for report in &mut of_node {
+            report["node"] = node.into();
+        }
+        let sent = json!({ "v": VERSION, "node": node, "t_ms": NOW_MS, "reports": of_node });
+        let payload = Bytes::from(zstd(sent.to_string().as_bytes()));
+        recorder.record(&[decode(node, &payload, NOW_MS).unwrap()], &[], now).unwrap();
+    }
+    let mut database = store.connect(Access::Read, None).unwrap();
+    let nodes = database.reporting_nodes(&["car-1", "car-2"], NOW_MS).unwrap();
+    let id = nodes["car-2"].node_id;
+    assert_eq!(nodes["car-2"].cameras, 3);
+    let names = BTreeMap::from([(id, BTreeSet::from(["c1", "c5", "new"]))]);
+    let found = database.cameras(&names).unwrap();
+    assert_eq!(found.len(), 1, "only that node");
+    let names: Vec<&String> = found[&id].keys().collect();
+    assert_eq!(names, ["c5"]);
+    drop(database);
+    store.close().await;
+}
+
+#[tokio::test]
+async fn reports_that_are_set_aside_together_keep_each_its_own_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
+    let (store, mut recorder) = recorder(&folder, now).await;
+    let mut reports: Vec<Value> = (1..=6).map(report).collect();
+    for place in [1, 2, 5] {
+        reports[place]["frames"] = (-1).into();
+    }
+    let batch = decoded("car-1", &json!(reports)).unwrap();
+    assert_eq!(batch.texts(&[]), Vec::<String>::new());
+    assert_eq!(
+        batch.texts(&[5, 1]),
+        [reports[5].to_string(), reports[1].to_string()]
+    );
+    // One more than there are has no text.
+    assert_eq!(batch.texts(&[6]), [""]);
+    recorder.record(&[batch], &[], now).unwrap();
+    let mut kept = store.set_aside(None, None, 10).await.unwrap();
+    kept.reverse();
+    let bodies: Vec<&String> = kept.iter().map(|one| &one.body).collect();
+    let expected = [1, 2, 5].map(|place: usize| reports[place].to_string());
+    assert_eq!(bodies, expected.iter().collect::<Vec<_>>());
+    store.close().await;
+}
+
+#[test]
+fn a_camera_under_a_name_that_no_camera_may_have_is_invalid() {
+    let too_long = "c".repeat(201);
+    for name in ["..", "a/b", too_long.as_str()] {
+        let mut named = report(1);
+        named["camera"] = name.into();
+        let batch = decoded("car-1", &json!([named, report(2)])).unwrap();
+        let are_valid: Vec<bool> =
+            batch.reports.iter().map(|report| report.content.is_ok()).collect();
+        assert_eq!(are_valid, [false, true], "{name}");
+    }
 }

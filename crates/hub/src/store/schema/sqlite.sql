@@ -4,7 +4,7 @@
 
 -- The program and the version of these tables.
 CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL);
-INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '16');
+INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '17');
 
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -19,6 +19,7 @@ CREATE TABLE nodes (
 
 -- The reports of a node: how many were stored, and which of its running counts never came. Counts are told from `base` on;
 -- `ranges` is a JSON array of them; one below `base` is asked for, but nobody knows whether those reports exist.
+-- `displaced` is the first and the last count of older ranges, which are no longer kept.
 CREATE TABLE report_counts (
     node_id BIGINT NOT NULL PRIMARY KEY REFERENCES nodes (id),
     first_ms BIGINT NOT NULL,
@@ -30,7 +31,8 @@ CREATE TABLE report_counts (
     base BIGINT NOT NULL DEFAULT 0,
     highest BIGINT NOT NULL DEFAULT 0,
     missing BIGINT NOT NULL DEFAULT 0,
-    ranges TEXT NOT NULL DEFAULT '[]'
+    ranges TEXT NOT NULL DEFAULT '[]',
+    displaced TEXT NOT NULL DEFAULT '[0,0]'
 ) WITHOUT ROWID;
 
 -- The identity of each report that came, for as long as a node may send it again. `day` is the day of the identity's own

@@ -3,7 +3,7 @@ mod fleets;
 mod trials;
 
 use super::super::metric::{BeforeAfter, Figure, Figures, Mean};
-use super::super::plan::{RolloutPlan, stage_size};
+use super::super::plan::{RolloutPlan, StageSize};
 use super::values::DueValue;
 use super::*;
 use crate::presence::reported;
@@ -232,10 +232,11 @@ fn a_share_is_rounded_up_to_at_least_one_node() {
         ("all", 7, 7),
         ("33.3%", 1000, 333),
     ] {
-        assert_eq!(stage_size(size, all), Some(expected), "{size} of {all}");
+        let nodes = StageSize::of(size).map(|size| size.nodes(all));
+        assert_eq!(nodes, Some(expected), "{size} of {all}");
     }
     for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
-        assert_eq!(stage_size(wrong, 10), None, "{wrong}");
+        assert!(StageSize::of(wrong).is_none(), "{wrong}");
     }
     assert_eq!(plan().stage_ends(40), [1, 4, 20, 40]);
     assert_eq!(plan().stage_ends(1), [1]);
@@ -540,7 +541,7 @@ fn an_invalid_plan_is_rejected_with_its_field() {
 }
 
 #[test]
-fn stages_that_shrink_are_rejected_and_those_that_a_small_fleet_makes_equal_are_not() {
+fn stages_that_shrink_are_rejected_and_whether_they_do_depends_on_no_fleet() {
     let begin = |nodes: usize, stages: &[&str]| {
         let plan = RolloutPlan {
             stages: stages.iter().map(|size| (*size).to_owned()).collect(),
@@ -549,14 +550,23 @@ fn stages_that_shrink_are_rejected_and_those_that_a_small_fleet_makes_equal_are_
         let kind = Kind::Rollout { to: new(), plan };
         Run::begin(kind, World::new(nodes).candidates(), 7, "ops", 0)
     };
-    for stages in [["50%", "10%"], ["all", "50%"], ["20", "10%"]] {
-        let error = begin(40, &stages).unwrap_err();
-        assert!(error.starts_with("stages: of 40 nodes"), "{error}");
-    }
-    for nodes in [1, 2, 5, 40] {
-        assert!(
-            begin(nodes, &["1", "10%", "50%", "100%"]).is_ok(),
-            "{nodes}"
-        );
+    for nodes in [1, 3, 40] {
+        for stages in [
+            ["1", "50%", "10%"],
+            ["1", "all", "50%"],
+            ["1", "all", "40"],
+            ["20", "10%", "5"],
+        ] {
+            let error = begin(nodes, &stages).unwrap_err();
+            assert!(error.starts_with("stages: `"), "{error}");
+            assert!(error.contains("sizes must grow"), "{error}");
+        }
+        for stages in [
+            ["1", "10%", "100%"],
+            ["2", "10%", "all"],
+            ["10%", "2", "all"],
+        ] {
+            assert!(begin(nodes, &stages).is_ok(), "{nodes}: {stages:?}");
+        }
     }
 }
