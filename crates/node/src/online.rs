@@ -7,7 +7,7 @@ use crate::input::source::{FIRST_PICTURE, LiveSource, SourceEvent, SourceSetting
 use albireo_core::geometry::PictureSize;
 use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
-use albireo_service::config::{ZenohConfig, ZenohMode};
+use albireo_service::config::{ZenohConfig, ZenohMode, shown_endpoints};
 use albireo_service::session;
 use albireo_vision::detector::{
     DetectorConfig, DetectorNetwork, ExecutionProvider, USUAL_PICTURE, compare_with_cpu,
@@ -55,8 +55,8 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     let onnxruntime = config.detector.onnxruntime.as_deref();
     match ScreenHandle::start(&config.screen, onnxruntime).await {
         Ok(Some(screen)) => {
-            let [_, _, rows, columns] = screen.input_format().shape();
-            report("screen", Ok(format!("input shape {rows} x {columns}")));
+            let size = screen.input_format().size;
+            report("screen", Ok(format!("input {size}")));
         }
         Ok(None) => {}
         Err(error) => report("screen", Err(error.into())),
@@ -105,7 +105,7 @@ async fn in_time(
     opening: impl Future<Output = Result<Session, ServiceError>>,
 ) -> Result<Session, TrialFailure> {
     let silent = |_| {
-        let endpoints = endpoints.join(", ");
+        let endpoints = shown_endpoints(endpoints);
         let seconds = ANSWER.as_secs();
         format!("{endpoints} did not answer in {seconds} s")
     };
@@ -144,11 +144,7 @@ fn try_picture(
     let prepared = network.preparation().prepare(&decoded).map_err(|fault| unusable(&fault))?;
     let found = network.detect(&prepared)?;
     if let Some(doubt) = network.doubt() {
-        let reason = format!(
-            "the detector finds only what is impossible: {doubt}; choose another detector.head, or list the columns of \
-             the model's output"
-        );
-        return Err(reason.into());
+        return Err(format!("the detector finds only what is impossible: {doubt}").into());
     }
     let mut classes: Vec<&str> = found
         .detections
@@ -267,7 +263,7 @@ async fn try_router(config: &NodeConfig) -> Result<String, TrialFailure> {
     let is_patient = false;
     let opening = session::open(&client, limit, &[], is_patient, |_| {});
     close(in_time(endpoints, opening).await?).await;
-    Ok(format!("{} answers", endpoints.join(", ")))
+    Ok(format!("{} answers", shown_endpoints(endpoints)))
 }
 
 /// Tries to find a hub that accepts reports behind its router.

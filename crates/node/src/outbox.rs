@@ -43,20 +43,23 @@ pub struct OutboxCounts {
     pub acknowledged: u64,
     /// Reports since the node started that a hub refused for good, or that could not be read.
     pub refused: u64,
+    /// The time of the last of them.
+    pub last_refusal: Option<Instant>,
     /// The number of disk failures.
     pub disk_failures: u64,
     /// The reason why nothing can be stored on disk now.
     pub failing: Option<String>,
 }
 
-/// The time for which lost clip reports are shown.
+/// The time for which clip reports that were lost, or that no hub will get, are shown.
 const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 impl OutboxCounts {
     /// The fault of the node that the counts show.
     pub(crate) fn fault(&self) -> Option<Fault> {
-        if self.last_loss.is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR) {
-            let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
+        let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
+        let is_shown = |at: Instant| at.elapsed() < LOSS_SHOWN_FOR;
+        if self.last_loss.is_some_and(is_shown) {
             let reason = format!("clip reports were lost in the last {minutes} minutes");
             return Some(Fault::degraded(reason));
         }
@@ -64,10 +67,10 @@ impl OutboxCounts {
             let reason = "clip reports wait in memory and do not survive a power loss";
             return Some(Fault::degraded(reason));
         }
-        if self.refused > 0 {
+        if self.last_refusal.is_some_and(is_shown) {
             let reason = format!(
-                "clip reports that no hub will get, because one refused them or they cannot be read: {} since the start \
-                 (the log says why)",
+                "in the last {minutes} minutes there were clip reports that no hub will get, because one refused them or \
+                 they cannot be read: {} since the start (the log says why)",
                 self.refused
             );
             return Some(Fault::degraded(reason));

@@ -254,11 +254,17 @@ fn start_forwarding(
 ) -> Result<(), NodeError> {
     // The operating system provides random keys for each `RandomState`.
     let random = RandomState::new();
+    let classes = board.reading.get().map(|reading| reading.classes.clone()).unwrap_or_default();
+    for (index, hook) in config.hooks.iter().enumerate() {
+        for warning in hook.never_found(index, &classes) {
+            tracing::warn!("{warning}");
+        }
+    }
     let setup = MqttSetup {
         config: config.mqtt.clone(),
         board: Arc::clone(board),
         prefix: config.node.prefix.clone(),
-        classes: board.reading.get().map(|reading| reading.classes.clone()).unwrap_or_default(),
+        classes,
         page: config.node.labels.get("page").cloned(),
         random: random.hash_one("mqtt"),
     };

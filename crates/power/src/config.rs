@@ -105,10 +105,13 @@ impl PowerConfig {
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut found = Vec::new();
         let mut wrong = |key, reason: String| found.push((key, reason));
-        if let Some(command) = &self.command
-            && command.trim().is_empty()
-        {
-            wrong("command", EMPTY.to_owned());
+        match &self.command {
+            Some(command) if command.trim().is_empty() => wrong("command", EMPTY.to_owned()),
+            None if self.source == PowerSource::Command => {
+                let reason = "is missing: it is the program that prints watts";
+                wrong("command", reason.to_owned());
+            }
+            _ => {}
         }
         let interval = self.interval_ms;
         if !(10..=10_000).contains(&interval) {
@@ -155,6 +158,7 @@ mod tests {
         let busy = "power.busy_watts: is 0.5, below idle_watts";
         let twice = "power.rails: `A` is counted in two";
         for (text, expected) in [
+            ("source = 'command'", "power.command: is missing"),
             ("interval_ms = 1", interval),
             ("busy_watts = 0.5", busy),
             ("idle_watts = nan", "idle_watts"),

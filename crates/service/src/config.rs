@@ -14,8 +14,8 @@ mod unreadable;
 mod uplink;
 mod zenoh;
 
-pub(crate) use endpoint::HostPort;
-pub use endpoint::{EndpointUse, check_endpoint};
+pub use endpoint::{EndpointUse, check_endpoint, shown_endpoints};
+pub(crate) use endpoint::{HostPort, shown_endpoint, with_shown_endpoints};
 pub use findings::{ConfigError, DAY_S, Finding, Findings};
 pub(crate) use http::SET_A_TOKEN;
 pub use http::{HttpConfig, Token};

@@ -20,6 +20,20 @@ pub trait ByteStream: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
 
 impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> ByteStream for T {}
 
+/// The authorities that may sign the certificate of a place, read once for many of them.
+#[derive(Clone)]
+pub(crate) struct Authorities(TlsConnector);
+
+impl Authorities {
+    /// Reads those of a file, or the system's.
+    ///
+    /// # Errors
+    /// Why there are none.
+    pub(crate) fn read(file: Option<&Path>) -> Result<Self, String> {
+        tls(file).map(Self)
+    }
+}
+
 /// Connects to one place.
 #[derive(Clone)]
 pub struct Connector {
@@ -48,11 +62,16 @@ impl Connector {
         port: u16,
         authority: Option<&Path>,
     ) -> Result<Self, String> {
-        Ok(Self {
+        Ok(Self::verified(host, port, &Authorities::read(authority)?))
+    }
+
+    /// Connects with TLS to a place whose certificate these authorities have signed.
+    pub(crate) fn verified(host: impl Into<String>, port: u16, authorities: &Authorities) -> Self {
+        Self {
             host: host.into(),
             port,
-            tls: Some(tls(authority)?),
-        })
+            tls: Some(authorities.0.clone()),
+        }
     }
 
     /// Opens a connection.

@@ -4,7 +4,7 @@
 mod causes;
 
 use crate::ServiceError;
-use crate::config::{UplinkConfig, ZenohConfig};
+use crate::config::{UplinkConfig, ZenohConfig, shown_endpoints, with_shown_endpoints};
 use std::fmt::Display;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
@@ -21,9 +21,10 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(15);
 /// The setting that Zenoh rejects, and why.
 pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Result<(), String> {
     for (key, value) in settings {
-        config
-            .insert_json5(key, &value.to_string())
-            .map_err(|error| format!("{key} = {value}: {}", plain(&error)))?;
+        config.insert_json5(key, &value.to_string()).map_err(|error| {
+            let error = plain(&error);
+            with_shown_endpoints(&format!("{key} = {value}: {error}"))
+        })?;
     }
     Ok(())
 }
@@ -62,8 +63,8 @@ pub async fn open(
             )
         }
         None => {
-            let listen = config.listen.join(", ");
-            let connect = config.connect.join(", ");
+            let listen = shown_endpoints(&config.listen);
+            let connect = shown_endpoints(&config.connect);
             let place = format!("zenoh.listen = [{listen}], zenoh.connect = [{connect}]");
             (place, "zenoh.listen".to_owned())
         }
@@ -151,7 +152,8 @@ pub fn jittered(pause: Duration) -> Duration {
     pause.mul_f64(0.5 + random as f64 / 1000.0)
 }
 
-/// A text or an error from Zenoh without its source locations, which are paths on the machine that built it.
+/// A text or an error from Zenoh without its source locations, which are paths on the machine that built it, and with
+/// endpoints without what follows their addresses.
 pub fn plain(error: &impl Display) -> String {
     let text = error.to_string();
     let mut plain = String::new();
@@ -161,7 +163,7 @@ pub fn plain(error: &impl Display) -> String {
         rest = after.trim_start_matches(|c: char| c.is_ascii_digit());
     }
     plain.push_str(rest);
-    plain.trim().to_owned()
+    with_shown_endpoints(plain.trim())
 }
 
 #[cfg(test)]
@@ -174,6 +176,29 @@ mod tests {
         let error = "Can not create listener [Address in use at /home/x/.cargo/src/a-1/b.rs:75.] at /y/o.rs:910.";
         assert_eq!(plain(&error), "Can not create listener [Address in use.].");
         assert_eq!(plain(&"nothing to hide"), "nothing to hide");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_session_that_is_not_opened_never_tells_the_key_in_its_endpoint() {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = free.local_addr().unwrap();
+        drop(free);
+        let endpoint = format!("tls/{address}?meta=M3TA#connect_private_key_base64=S3CRET");
+        let uplink = UplinkConfig {
+            connect: vec![endpoint.clone()],
+            ..UplinkConfig::default()
+        };
+        let local = ZenohConfig {
+            listen: vec![endpoint],
+            ..ZenohConfig::default()
+        };
+        let local = open(&local, 1 << 20, &[], false, |_| {}).await;
+        let uplink = open_uplink(&uplink).await;
+        for opened in [local, uplink] {
+            let said = opened.err().unwrap().to_string();
+            assert!(said.contains(&format!("tls/{address}")), "{said}");
+            assert!(!said.contains("M3TA") && !said.contains("S3CRET"), "{said}");
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -176,9 +176,16 @@ fn a_name_that_is_too_long_for_keys_and_files_is_rejected() {
         let name = "n".repeat(bytes);
         let node = load(&format!("node.name = \"{name}\"\n"));
         assert_eq!(node.is_ok(), is_valid);
+    }
+    for (bytes, is_valid) in [(200, true), (201, false)] {
+        let name = "c".repeat(bytes);
         let camera = load(&format!("[[camera]]\nname = \"{name}\"\n"));
         assert_eq!(camera.is_ok(), is_valid);
     }
+    // A name in another script is long, and shortening it would not help.
+    let name = "\u{43a}".repeat(120);
+    let found = problem(&format!("[[camera]]\nname = \"{name}\"\n"));
+    assert!(found.contains("a character that is not allowed"), "{found}");
 }
 
 #[test]

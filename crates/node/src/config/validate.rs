@@ -10,12 +10,9 @@ use crate::state::board::SightingsConfig;
 use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, no_pause};
 use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
-use albireo_wire::{MOST_CAMERAS, check_node_name, check_segment};
+use albireo_wire::{MOST_CAMERAS, check_camera_name, check_node_name};
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
-
-/// Longest name of a camera, bytes: it is a part of the names of recordings.
-const LONGEST_CAMERA_NAME: usize = 64;
 
 const WRITTEN: &str = "is what this node writes or answers itself; frames need a key of their own";
 const NO_SOURCE: &str = "applies only to a camera with a source, and this one has none";
@@ -350,21 +347,6 @@ impl NodeConfig {
             }
         }
     }
-}
-
-/// Checks that `name` can be a part of keys, of paths of HTTP and of names of files.
-fn check_camera_name(name: &str) -> Result<(), String> {
-    let length = name.len();
-    if length > LONGEST_CAMERA_NAME {
-        return Err(format!(
-            "has {length} bytes: it must have at most {LONGEST_CAMERA_NAME}"
-        ));
-    }
-    check_segment("camera name", name).map_err(|error| error.to_string())?;
-    if name.bytes().all(|byte| byte == b'.') {
-        return Err("must not be only dots, which mean something else in an HTTP path".to_owned());
-    }
-    Ok(())
 }
 
 fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &mut Findings) {

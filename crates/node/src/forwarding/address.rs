@@ -114,6 +114,10 @@ fn port(uri: &Uri) -> Result<Option<u16>, String> {
     let Some((_, port)) = behind_host.split_once(':') else {
         return Ok(None);
     };
+    // Then it is the usual one (RFC 3986, section 3.2.3).
+    if port.is_empty() {
+        return Ok(None);
+    }
     match port.parse() {
         Ok(port) if port > 0 => Ok(Some(port)),
         // Not shown: it is a password where `@` and the host are missing.
@@ -249,6 +253,9 @@ mod tests {
         let basic = format!("Basic {}", STANDARD.encode("ann:p@ss"));
         assert_eq!(target.login, Some(basic));
         assert_eq!(broker("mqtts://b.example").unwrap().port, 8883);
+        assert_eq!(broker("mqtt://b:").unwrap().port, 1883);
+        let empty = HookUrl::new("http://[::1]:/x").target().unwrap();
+        assert_eq!((empty.place.port, empty.path.as_str()), (80, "/x"));
         assert_eq!(
             broker("mqtt://127.0.0.1:1999/").unwrap().to_string(),
             "mqtt://127.0.0.1:1999"
@@ -281,7 +288,6 @@ mod tests {
             ("mqtt://127.0.0.1:99999", "a number from 1 to 65535"),
             ("mqtt://b:-1", "a number from 1 to 65535"),
             ("mqtt://b:abc", "a number from 1 to 65535"),
-            ("mqtt://b:", "a number from 1 to 65535"),
         ] {
             let found = broker(text).unwrap_err();
             assert!(found.contains(reason), "{found}");

@@ -3,6 +3,7 @@
 use super::address::{self, Endpoint, HookUrl, Target};
 use albireo_service::config::{Finding, Findings, first_line};
 use albireo_service::identity::exposed;
+use albireo_vision::detector::named_classes;
 use albireo_wire::Sighting;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -168,6 +169,18 @@ impl HookConfig {
         }
     }
 
+    /// Its classes that a detector which reports `classes` never finds, each with its key and the reason; it is the section
+    /// at `index`.
+    pub(crate) fn never_found(&self, index: usize, classes: &[String]) -> Vec<String> {
+        let reported = named_classes(classes);
+        let there = reported.join(", ");
+        let absent = self.classes.iter().filter(|class| !reported.contains(&class.as_str()));
+        let sentence = |class: &String| {
+            format!("hook[{index}].classes: the detector reports no `{class}`; it reports: {there}")
+        };
+        absent.map(sentence).collect()
+    }
+
     /// Adds what is missing on this machine.
     pub(crate) fn look_here(&self, index: usize, findings: &mut Findings) {
         if self.url_file.is_some() {
@@ -184,5 +197,27 @@ impl HookConfig {
             return None;
         }
         exposed(&format!("hook[{index}].url"), file?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_class_of_a_hook_that_the_detector_never_reports_is_told() {
+        let hook = |classes: &[&str]| HookConfig {
+            classes: classes.iter().map(|class| (*class).to_owned()).collect(),
+            ..HookConfig::default()
+        };
+        // The model has a class without a name.
+        let reported = ["person", "", "car"].map(str::to_owned);
+        let told = hook(&["car", "pedestrian"]).never_found(2, &reported);
+        let expected =
+            "hook[2].classes: the detector reports no `pedestrian`; it reports: person, car";
+        assert_eq!(told, [expected]);
+        for classes in [&["person", "car"][..], &[]] {
+            assert!(hook(classes).never_found(0, &reported).is_empty());
+        }
     }
 }

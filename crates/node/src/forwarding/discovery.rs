@@ -20,6 +20,25 @@ pub(super) fn id_of(name: &str) -> String {
     name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect()
 }
 
+/// The id of `name`, with a further `_` for as long as another one has it.
+fn own_id(name: &str, is_taken: impl Fn(&str) -> bool) -> String {
+    let mut id = id_of(name);
+    while is_taken(&id) {
+        id.push('_');
+    }
+    id
+}
+
+/// The ids of a node's cameras, in order, each its own: the cameras `a.b` and `a_b` are two devices.
+pub(super) fn camera_ids<'a>(cameras: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut ids = Vec::<String>::new();
+    for camera in cameras {
+        let id = own_id(camera, |id| ids.iter().any(|other| other == id));
+        ids.push(id);
+    }
+    ids
+}
+
 /// The classes that get entities, each with an id of its own. Classes of one name are one.
 pub(super) fn named(classes: &[String]) -> Vec<NamedClass> {
     let mut named = Vec::<NamedClass>::new();
@@ -30,10 +49,7 @@ pub(super) fn named(classes: &[String]) -> Vec<NamedClass> {
         if named.iter().any(|one| one.class == class) {
             continue;
         }
-        let mut id = id_of(class);
-        while named.iter().any(|one| one.id == id) {
-            id.push('_');
-        }
+        let id = own_id(class, |id| named.iter().any(|one| one.id == id));
         named.push(NamedClass {
             class: class.to_owned(),
             id,
@@ -123,9 +139,15 @@ impl Described {
     }
 
     /// The message about a camera: for each class whether it is there and how many boxes it has, and the detector's calls.
-    pub(super) fn camera(&self, camera: &str, classes: &[NamedClass]) -> DiscoveryMessage {
+    /// `id` is the camera's among those of the node.
+    pub(super) fn camera(
+        &self,
+        camera: &str,
+        id: &str,
+        classes: &[NamedClass],
+    ) -> DiscoveryMessage {
         let Self { base, node, .. } = self;
-        let id = format!("{}_{}", self.id, id_of(camera));
+        let id = format!("{}_{id}", self.id);
         let topics = [
             format!("{base}/availability"),
             format!("{base}/{camera}/availability"),
@@ -245,9 +267,14 @@ mod tests {
         assert_eq!(ids, ["car", "traffic_light", "traffic_light_"]);
         let mut entities = check(&described.node(Some("estimated")));
         entities.extend(check(&described.node(Some("measured"))));
-        entities.extend(check(&described.camera("front", &classes)));
-        entities.extend(check(&described.camera("rear.2", &classes)));
-        assert_eq!(entities.len(), 2 + 2 + 8 + 8);
+        entities.extend(check(&described.camera("front", "front", &classes)));
+        let cameras = ["rear.2", "rear_2"];
+        let ids = camera_ids(cameras.into_iter());
+        assert_eq!(ids, ["rear_2", "rear_2_"]);
+        for (camera, id) in cameras.into_iter().zip(&ids) {
+            entities.extend(check(&described.camera(camera, id, &classes)));
+        }
+        assert_eq!(entities.len(), 2 + 2 + 3 * 8);
         // Both messages about the node have this one entity.
         let problem = described.id.clone() + "_problem";
         entities.retain(|id| *id != problem);
@@ -265,7 +292,7 @@ mod tests {
     #[test]
     fn a_model_of_a_thousand_classes_gets_a_bounded_message() {
         let classes: Vec<_> = (0..1000).map(|number| format!("class {number}")).collect();
-        let bytes = described().camera("front", &named(&classes)).payload.len();
+        let bytes = described().camera("front", "front", &named(&classes)).payload.len();
         assert!(bytes < 20_000, "{bytes}");
         assert_eq!(named(&classes).len(), MOST_CLASSES);
     }

@@ -2,7 +2,9 @@
 
 use super::address::Endpoint;
 use super::config::MqttConfig;
-use super::discovery::{Described, DiscoveryMessage, MOST_CLASSES, NamedClass, id_of, named};
+use super::discovery::{
+    Described, DiscoveryMessage, MOST_CLASSES, NamedClass, camera_ids, id_of, named,
+};
 use super::mailbox::{Mailbox, WINDOW};
 use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
@@ -288,9 +290,10 @@ impl Mqtt {
                 figures.to_string(),
             );
         }
-        for camera in &board.cameras {
+        let ids = camera_ids(board.cameras.iter().map(|camera| camera.name()));
+        for (camera, id) in board.cameras.iter().zip(&ids) {
             if describes {
-                let described = self.described.camera(camera.name(), &self.classes);
+                let described = self.described.camera(camera.name(), id, &self.classes);
                 self.mailbox.set(described.topic, described.payload);
             }
             self.publish_camera(camera, shows_figures);

@@ -608,3 +608,25 @@ fn lost_reports_are_a_fault_of_the_node() {
     let fault = lost.fault().unwrap();
     assert!(fault.reason.contains("were lost"), "{}", fault.reason);
 }
+
+#[test]
+fn refused_reports_are_a_fault_of_the_node_for_some_minutes_and_counted_for_ever() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..1);
+    let sent = batch(&outbox).unwrap();
+    let answer = ReportAnswer {
+        refused: vec![RefusedReport {
+            id: sent.reports[0].id,
+            reason: "too old".into(),
+        }],
+        ..ReportAnswer::default()
+    };
+    conclude(&outbox, &sent, &answer, Now::system());
+    let mut counts = outbox.counts();
+    let fault = counts.fault().unwrap();
+    assert!(fault.reason.contains("no hub will get"), "{fault:?}");
+    counts.last_refusal = Instant::now().checked_sub(LOSS_SHOWN_FOR);
+    assert_eq!(counts.fault(), None);
+    assert_eq!(counts.refused, 1);
+}

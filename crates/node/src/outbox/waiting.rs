@@ -376,6 +376,9 @@ impl Waiting {
         let refused = concluded.iter().filter(|report| report.state == REFUSED).count() as u64;
         self.table.counters.undeliverable += refused;
         self.counts.refused += refused;
+        if refused > 0 {
+            self.counts.last_refusal = Some(now.at);
+        }
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
         self.work(|table| table.conclude(concluded, missing, now.unix_ms, kept_ms));
         concluded.len() as u64 - refused

@@ -69,6 +69,10 @@ pub(super) fn nmea(line: &str, has_rmc: &mut bool) -> Reading {
         Err(nmea::Error::ChecksumMismatch { .. }) => {
             Reading::Unreadable("a sentence of NMEA has a wrong checksum".to_owned())
         }
+        Err(_) if lacks_checksum(line) => Reading::Unreadable(
+            "a sentence of NMEA with a position has no checksum, such as *6A at its end: it must not be left out"
+                .to_owned(),
+        ),
         // A sentence of a kind that is not known here has a form that is.
         Err(_) if line.starts_with('$') && line.contains(',') => Reading::Other,
         Err(_) => {
@@ -78,6 +82,15 @@ pub(super) fn nmea(line: &str, has_rmc: &mut bool) -> Reading {
             ))
         }
     }
+}
+
+/// True for a sentence with a position that has no checksum.
+fn lacks_checksum(line: &str) -> bool {
+    let Some((kind, _)) = line.split_once(',') else {
+        return false;
+    };
+    let has_position = kind.ends_with("RMC") || kind.ends_with("GGA");
+    kind.starts_with('$') && has_position && !line.contains('*')
 }
 
 /// Reads a line of gpsd (gpsd_json(5)).

@@ -93,6 +93,21 @@ fn what_is_no_sentence_says_why() {
 }
 
 #[test]
+fn a_sentence_with_a_position_and_without_a_checksum_says_so() {
+    let mut has_rmc = false;
+    for line in NMEA.lines().take(2) {
+        let (bare, _) = line.split_once('*').unwrap();
+        let read = nmea(bare, &mut has_rmc);
+        let Reading::Unreadable(reason) = &read else {
+            panic!("{bare}: {read:?}");
+        };
+        assert!(reason.contains("no checksum"), "{reason}");
+    }
+    let bare = "$GPGSV,3,3,12,11,12,132,04";
+    assert_eq!(nmea(bare, &mut has_rmc), Reading::Other);
+}
+
+#[test]
 fn a_source_is_read_by_its_form_and_written_as_it_was() {
     let source = |text: &str| PositionSource::try_from(text.to_owned());
     for (text, written) in [

@@ -1,6 +1,6 @@
 //! The file that keeps settings changed at run time, so that they survive a restart.
 
-use crate::state_files::{FileId, create_directory};
+use crate::state_files::create_directory;
 use albireo_wire::SettingSource;
 use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
@@ -31,9 +31,9 @@ pub(crate) struct SettingsFile {
     directory: Option<PathBuf>,
     /// Never held while the disk is read or written.
     values: Mutex<KeptValues>,
-    /// The file as it was last read or written; `None` until it was read. Held while the disk is read or written: no async
-    /// worker locks it.
-    stored: Mutex<Option<StoredSettings>>,
+    /// What was last read from the file or written to it; `None` until it was read. Held while the disk is read or written:
+    /// no async worker locks it.
+    stored: Mutex<Option<KeptValues>>,
     /// The outcome of the last reading or writing. Never held while the disk is read or written.
     disk: Mutex<DiskState>,
 }
@@ -50,14 +50,6 @@ struct DiskState {
 /// Settings by name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct KeptValues(BTreeMap<String, Value>);
-
-/// The file and what it has.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct StoredSettings {
-    values: KeptValues,
-    /// `None` if there is none.
-    file: Option<FileId>,
-}
 
 /// A value set at run time instead of a configured one.
 #[derive(Serialize, Deserialize)]
@@ -106,7 +98,7 @@ impl SettingsFile {
         if let Some(directory) = directory {
             let stored = settings.read(directory);
             match &stored {
-                Ok(stored) => stored.values.clone_into(&mut settings.values.lock()),
+                Ok(stored) => stored.clone_into(&mut settings.values.lock()),
                 Err(error) => tracing::error!(%error, "the kept settings cannot be read"),
             }
             settings.note(stored.as_ref().map(drop));
@@ -142,18 +134,15 @@ impl SettingsFile {
     }
 
     /// Reads the file; sets it aside if it is damaged.
-    fn read(&self, directory: &Path) -> std::io::Result<StoredSettings> {
+    fn read(&self, directory: &Path) -> std::io::Result<KeptValues> {
         create_directory(directory)?;
         let file = directory.join(FILE);
-        let id = FileId::at(&file)?;
         let bytes = match std::fs::read(&file) {
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                return Ok(StoredSettings::default());
-            }
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeptValues::default()),
             read => read?,
         };
         let error = match parse(&bytes) {
-            Ok(values) => return Ok(StoredSettings { values, file: id }),
+            Ok(values) => return Ok(values),
             Err(error) => error,
         };
         let aside = file.with_extension("json.damaged");
@@ -163,7 +152,7 @@ impl SettingsFile {
         );
         self.disk.lock().damaged = Some(Instant::now());
         std::fs::rename(&file, aside)?;
-        Ok(StoredSettings::default())
+        Ok(KeptValues::default())
     }
 
     /// The setting kept under `name`.
@@ -201,9 +190,10 @@ impl SettingsFile {
         set
     }
 
-    /// Writes the file if it differs from the settings, or is no longer the one that was written: somebody removed it, or
-    /// another disk is in its place. Reads it first if that failed before: settings that are read only now apply from the
-    /// next start, except those set in the meantime.
+    /// Writes the file if a setting has changed since, or if it is not there: somebody removed it, or an empty disk is in
+    /// its place. A file that somebody restores by hand stays until a setting changes: it applies from the next start.
+    /// Reads the file first if that failed before: settings that are read only now apply from the next start, except those
+    /// set in the meantime.
     ///
     /// # Errors
     /// The disk's error; call it again later.
@@ -225,12 +215,12 @@ impl SettingsFile {
             );
         }
         let known = stored.clone().unwrap_or_default();
-        let mut values = known.values.clone();
+        let mut values = known.clone();
         values.0.extend(self.values.lock().0.clone());
-        let is_in_place = FileId::at(&directory.join(FILE))? == known.file;
-        if values != known.values || !is_in_place {
-            let file = Some(write(directory, &values)?);
-            *stored = Some(StoredSettings { values, file });
+        let is_missing = !directory.join(FILE).try_exists()?;
+        if values != known || (is_missing && !values.0.is_empty()) {
+            write(directory, &values)?;
+            *stored = Some(values);
         }
         Ok(())
     }
@@ -261,18 +251,16 @@ fn text(values: &KeptValues) -> std::io::Result<String> {
     Ok(format!("{CHECKSUM}{checksum:08x}{rest}"))
 }
 
-/// Writes a new file beside the old one, syncs it, and then replaces the old one. Returns which it is.
-fn write(directory: &Path, values: &KeptValues) -> std::io::Result<FileId> {
+/// Writes a new file beside the old one, syncs it, and then replaces the old one.
+fn write(directory: &Path, values: &KeptValues) -> std::io::Result<()> {
     create_directory(directory)?;
     let file = directory.join(FILE);
     let fresh = directory.join("settings.json.new");
     let mut written = File::create(&fresh)?;
     written.write_all(text(values)?.as_bytes())?;
     written.sync_all()?;
-    let id = FileId::of(&written.metadata()?);
     std::fs::rename(fresh, file)?;
-    File::open(directory)?.sync_all()?;
-    Ok(id)
+    File::open(directory)?.sync_all()
 }
 
 #[cfg(test)]
@@ -355,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_survive_a_restart_although_their_file_was_removed_or_replaced() {
+    fn settings_survive_a_restart_although_their_file_was_removed() {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("state");
         let settings = SettingsFile::open(Some(&state));
@@ -367,9 +355,9 @@ mod tests {
         std::fs::remove_dir_all(&state).unwrap();
         settings.save().unwrap();
         assert_eq!(kept(), Some(1));
-        // Another disk takes the place of the first.
+        // An empty disk takes the place of the first.
         std::fs::rename(&state, folder.path().join("first")).unwrap();
-        assert!(SettingsFile::open(Some(&state)).set("target", 2));
+        std::fs::create_dir(&state).unwrap();
         settings.save().unwrap();
         assert_eq!(kept(), Some(1));
         // A disk that is not there at all is a fault, although nothing new is set.
@@ -377,6 +365,28 @@ mod tests {
         std::fs::write(&state, b"").unwrap();
         assert!(settings.save().is_err());
         assert!(!settings.survive_restart());
+    }
+
+    #[test]
+    fn a_file_restored_by_hand_stays_until_a_setting_changes_and_is_not_written_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(FILE);
+        let settings = SettingsFile::open(Some(folder.path()));
+        let kept = || SettingsFile::open(Some(folder.path())).get::<i32>("target");
+        assert!(settings.set("target", 1));
+        let backup = std::fs::read(&file).unwrap();
+        assert!(settings.set("target", 2));
+        // As another file, which is what it also seems to be on a disk whose numbers of files change.
+        let copy = folder.path().join("copy");
+        std::fs::write(&copy, &backup).unwrap();
+        std::fs::rename(&copy, &file).unwrap();
+        for _ in 0..2 {
+            settings.save().unwrap();
+            assert_eq!(std::fs::read(&file).unwrap(), backup);
+        }
+        assert_eq!(kept(), Some(1));
+        assert!(settings.set("target", 3));
+        assert_eq!(kept(), Some(3));
     }
 
     #[test]

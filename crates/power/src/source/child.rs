@@ -6,7 +6,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -23,6 +23,12 @@ pub(super) const PAUSE: Duration = Duration::from_secs(1);
 /// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
 
+/// The time limit for the last line of the error output of a child that has ended. Its own children may hold it open.
+const PARTING_WORDS: Duration = Duration::from_millis(500);
+
+/// The most characters of that line.
+const MOST_CHARACTERS: usize = 200;
+
 /// How late a line of a program that prints one in every interval may be: a program may also take longer than asked.
 pub(super) fn late_after(least: Duration, interval_ms: u64) -> Duration {
     least.max(Duration::from_millis(3 * interval_ms))
@@ -36,6 +42,8 @@ pub(crate) struct LineChild {
     command: Command,
     child: Option<Child>,
     lines: Receiver<TimedLine>,
+    /// Gets the last line of the error output when that ends.
+    last_words: Receiver<String>,
     /// The shortest time between a start or a line and the next start.
     pause: Duration,
     /// The time of the start or of the newest line.
@@ -61,13 +69,14 @@ impl LineChild {
             .args(arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(Stdio::piped())
             .process_group(0);
-        let (child, lines) = spawn(&mut command)?;
+        let started = spawn(&mut command)?;
         Ok(Self {
             command,
-            child: Some(child),
-            lines,
+            child: Some(started.child),
+            lines: started.lines,
+            last_words: started.last_words,
             pause,
             last_sign: Instant::now(),
             ended: false,
@@ -110,9 +119,10 @@ impl LineChild {
             tracing::warn!(reason, "restarting the power meter's child process");
         }
         match spawn(&mut self.command) {
-            Ok((child, lines)) => {
-                self.child = Some(child);
-                self.lines = lines;
+            Ok(started) => {
+                self.child = Some(started.child);
+                self.lines = started.lines;
+                self.last_words = started.last_words;
             }
             Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
         }
@@ -138,13 +148,25 @@ impl LineChild {
         self.trouble = loop {
             match child.try_wait() {
                 Ok(Some(status)) if status.success() => break None,
-                Ok(Some(status)) => break Some(format!("it ended with {status}")),
+                Ok(Some(status)) => break Some(self.fault(status)),
                 Ok(None) if std::time::Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));
                 }
                 _ => break Some("it has not ended; it will at its next line".to_owned()),
             }
         };
+    }
+
+    /// How the child ended, with the last line of its error output unless it was killed.
+    fn fault(&self, status: ExitStatus) -> String {
+        let fault = format!("it ended with {status}");
+        if status.code().is_none() {
+            return fault;
+        }
+        match self.last_words.recv_timeout(PARTING_WORDS) {
+            Ok(words) if !words.is_empty() => format!("{fault}: {words}"),
+            _ => fault,
+        }
     }
 
     /// The id of the running process.
@@ -159,7 +181,14 @@ impl Drop for LineChild {
     }
 }
 
-fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<TimedLine>)> {
+/// A child that was just started, and what threads read from it.
+struct Started {
+    child: Child,
+    lines: Receiver<TimedLine>,
+    last_words: Receiver<String>,
+}
+
+fn spawn(command: &mut Command) -> std::io::Result<Started> {
     let mut child = command.spawn()?;
     let (sender, lines) = sync_channel(MOST_LINES);
     if let Some(output) = child.stdout.take() {
@@ -167,7 +196,17 @@ fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<TimedLine>)>
             .name("power-child".to_owned())
             .spawn(move || read(output, &sender))?;
     }
-    Ok((child, lines))
+    let (sender, last_words) = sync_channel(1);
+    if let Some(errors) = child.stderr.take() {
+        std::thread::Builder::new()
+            .name("power-errors".to_owned())
+            .spawn(move || read_last(errors, &sender))?;
+    }
+    Ok(Started {
+        child,
+        lines,
+        last_words,
+    })
 }
 
 /// Reads until the child closes its output or the receiver is dropped.
@@ -194,6 +233,28 @@ fn read(output: ChildStdout, lines: &SyncSender<TimedLine>) {
         }
         is_rest = !is_whole;
     }
+}
+
+/// Reads until the child closes its error output, and sends the last line of it that says something.
+fn read_last(errors: ChildStderr, last_words: &SyncSender<String>) {
+    let mut errors = BufReader::new(errors);
+    let mut line = Vec::new();
+    let mut last = String::new();
+    loop {
+        line.clear();
+        let read = errors.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line);
+        if !matches!(read, Ok(1..)) {
+            break;
+        }
+        let text = String::from_utf8_lossy(&line);
+        let text = text.trim();
+        if !text.is_empty() {
+            let printable = text.chars().filter(|character| !character.is_control());
+            last = printable.take(MOST_CHARACTERS).collect();
+        }
+    }
+    // Nobody may want it any more.
+    let _ = last_words.send(last);
 }
 
 #[cfg(test)]

@@ -83,36 +83,45 @@ impl Command {
         let mut readings = Vec::new();
         for (at, line) in self.child.take(SILENCE) {
             if line.trim().is_empty() {
-                readings.extend(self.finished(at));
+                readings.extend(self.finished(at)?);
             } else if self.rails.len() < MOST_RAILS {
                 self.rails.push(rail(&line)?);
                 self.newest = at;
             }
         }
         if self.child.ended {
-            readings.extend(self.finished(self.newest));
+            readings.extend(self.finished(self.newest)?);
         }
         Ok(readings)
     }
 
     /// The reading of the set that has ended; `None` if it has no line or no total.
-    fn finished(&mut self, at: Instant) -> Option<Reading> {
+    ///
+    /// # Errors
+    /// [`MeterError::Failed`] if the total is negative.
+    fn finished(&mut self, at: Instant) -> Result<Option<Reading>, MeterError> {
         let rails = std::mem::take(&mut self.rails);
         let mut reading = match &mut self.map {
             Some(map) => map.reading(&rails),
-            None => by_name(&rails),
+            None => {
+                refuse_negative(&rails)?;
+                by_name(&rails)
+            }
         };
-        reading.value(Domain::Total)?;
+        if reading.value(Domain::Total).is_none() {
+            return Ok(None);
+        }
         reading.at = Some(at);
-        Some(reading)
+        Ok(Some(reading))
     }
 
     fn failed(&self, what: &str) -> MeterError {
-        let why = self
-            .child
-            .trouble
-            .as_deref()
-            .unwrap_or("it must print lines such as `total 5.2`, each with its line end");
+        let lacks = if self.rails.is_empty() {
+            "it must print lines such as `total 5.2`, each with its line end"
+        } else {
+            "it must print an empty line after each reading, or end"
+        };
+        let why = self.child.trouble.as_deref().unwrap_or(lacks);
         MeterError::Failed(format!("power.command: {what}: {why}"))
     }
 }
@@ -132,8 +141,31 @@ impl Meter for Command {
 /// The name of the line that is the whole machine.
 const WHOLE: &str = "total";
 
+/// The most by which a sensor may be off below zero, watts.
+const MOST_OFFSET: f64 = 0.5;
+
 /// The most names that the sum of a set lists.
 const MOST_NAMES: usize = 4;
+
+/// Refuses a set whose total is so far below zero that no sensor's offset explains it.
+fn refuse_negative(rails: &[RailWatts]) -> Result<(), MeterError> {
+    let whole = rails.iter().find(|rail| &*rail.name == WHOLE);
+    let watts: f64 = match whole {
+        Some(whole) => whole.watts,
+        None => rails.iter().map(|rail| rail.watts).sum(),
+    };
+    if watts >= -MOST_OFFSET {
+        return Ok(());
+    }
+    let what = if whole.is_some() {
+        "`total`"
+    } else {
+        "the sum of its lines"
+    };
+    Err(MeterError::Failed(format!(
+        "power.command: {what} ({watts} W) is negative: change its sign in the command"
+    )))
+}
 
 /// The reading of a set: `total` is the whole machine, else all lines are added up; `gpu`, `cpu` and `io_mem` are
 /// domains.

@@ -1,5 +1,6 @@
 //! The errors in a configuration: the source, the key, and the reason.
 
+use std::ffi::OsStr;
 use std::fmt::{self, Display};
 use std::path::Path;
 
@@ -118,12 +119,46 @@ impl Findings {
                 "`{shown}` is no path in a home folder: write `~/` for that, or `./{shown}` if it is really called so"
             );
             self.add(key, reason);
-        } else if path.as_os_str().as_encoded_bytes().contains(&b'$') {
+        } else if names_variable(path) && !path.exists() {
             let shown = path.display();
             let reason = format!(
                 "`{shown}` has a `$`, but no variable is replaced in a path: write the path itself"
             );
             self.add(key, reason);
         }
+    }
+}
+
+/// True if a part of a path begins like a variable of a shell.
+fn names_variable(path: &Path) -> bool {
+    let begins_so = |part: &OsStr| match part.as_encoded_bytes() {
+        [b'$', b'{' | b'_', ..] => true,
+        [b'$', letter, ..] => letter.is_ascii_alphabetic(),
+        _ => false,
+    };
+    path.iter().any(begins_so)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_that_is_there_or_only_has_a_dollar_is_no_variable() {
+        let folder = tempfile::tempdir().unwrap();
+        let is_accepted = |path: &str| {
+            let mut findings = Findings::default();
+            findings.path("node.state_dir", Some(Path::new(path)));
+            findings.0.is_empty()
+        };
+        for path in ["models$/x", "//nas/share$/x", "/srv/$", "a$HOME", "$1/x"] {
+            assert!(is_accepted(path), "{path}");
+        }
+        for path in ["$HOME/x", "/srv/${NOBODY_SETS_THIS}/x", "state/$_nothing"] {
+            assert!(!is_accepted(path), "{path}");
+        }
+        let there = folder.path().join("$RECYCLE.BIN");
+        std::fs::create_dir(&there).unwrap();
+        assert!(is_accepted(there.to_str().unwrap()));
     }
 }

@@ -1,4 +1,4 @@
-//! Refuses a query on a route that reads none.
+//! Refuses a query of a request that changes something on a route that reads none.
 
 use super::Problem;
 use axum::Router;
@@ -14,9 +14,10 @@ use utoipa::openapi::{OpenApi, RefOr};
 const OF_ALL: &str = "/api/v1/";
 const OF_ONE_CAMERA: &str = "/api/v1/cameras/{camera}/";
 
-/// Refuses a query wherever `document` names no parameter of one: it would be ignored, and the request would do something
-/// else than was meant, such as set the threshold of all cameras instead of one's. Routes with parameters refuse unknown
-/// ones themselves.
+/// Refuses the query of a request that changes something wherever `document` names no parameter of one: it would be ignored,
+/// and the request would do something else than was meant, such as set the threshold of all cameras instead of one's.
+/// Requests that only read keep it: health checks add one (`/readyz?verbose`), and pages one against a cache. Routes with
+/// parameters refuse unknown ones themselves.
 pub fn refuse_unread_queries<S>(router: Router<S>, document: OpenApi) -> Router<S>
 where
     S: Clone + Send + Sync + 'static,
@@ -35,7 +36,8 @@ async fn refuse(State(document): State<Arc<OpenApi>>, request: Request, next: Ne
     next.run(request).await
 }
 
-/// What is wrong with any query for this path, and what to do instead; `None` if the route reads one, or is none.
+/// What is wrong with any query for this path, and what to do instead; `None` if the route reads one, changes nothing, or is
+/// none.
 fn unread(document: &OpenApi, path: &str, method: &Method) -> Option<String> {
     let operation = operation(document.paths.paths.get(path)?, method)?;
     if reads_query(operation) {
@@ -54,13 +56,13 @@ fn unread(document: &OpenApi, path: &str, method: &Method) -> Option<String> {
     Some(words)
 }
 
-/// The operation of a path that answers this method.
+/// The operation of a path that this method asks for, if it changes something.
 fn operation<'a>(item: &'a PathItem, method: &Method) -> Option<&'a Operation> {
     match *method {
-        Method::GET | Method::HEAD => item.get.as_ref(),
         Method::PUT => item.put.as_ref(),
         Method::POST => item.post.as_ref(),
         Method::DELETE => item.delete.as_ref(),
+        Method::PATCH => item.patch.as_ref(),
         _ => None,
     }
 }

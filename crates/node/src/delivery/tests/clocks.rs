@@ -101,7 +101,7 @@ impl Bench {
         if fate != Fate::Lost {
             let payload = batch.to_payload(BatchCompression::Quick).unwrap();
             let hub_now = self.time.now();
-            let batch = decode(&self.node.name, &payload, hub_now.unix_ms).unwrap();
+            let batch = decode(&self.node.name, &payload.into(), hub_now.unix_ms).unwrap();
             let from = Asker { node: 0, question };
             self.hub.take(PROCESS, from, batch);
             let (_, answer) = self.hub.commit(PROCESS, hub_now).pop().unwrap();

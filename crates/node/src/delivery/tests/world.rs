@@ -169,7 +169,8 @@ impl World {
                     self.time.note(&payload);
                     let now = self.now_at_hub(process);
                     let name = &self.nodes[from.node].name;
-                    let batch = decode(name, &payload.0, now.unix_ms).unwrap();
+                    let received = payload.0.to_vec().into();
+                    let batch = decode(name, &received, now.unix_ms).unwrap();
                     self.hub.take(process, from, batch);
                     self.time.after(100, Event::Commit(process));
                 }

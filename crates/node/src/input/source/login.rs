@@ -20,24 +20,81 @@ pub(super) fn unknown_digest(address: &str) -> Option<String> {
     unknown(&head(address).ok()?)
 }
 
-/// What `address` answers, in words, if that is neither pictures nor a refusal. Asks without a login.
+/// What `address` answers, in words, if that is neither pictures nor a refusal, or what the address answers to which it
+/// sends: ffmpeg follows it. Asks without a login.
 pub(super) fn answer_without_pictures(address: &str) -> Option<String> {
-    without_pictures(&head(address).ok()?)
+    let first = head(address).ok()?;
+    let Some(sent) = sent_elsewhere(&first) else {
+        return without_pictures(&first);
+    };
+    let lead = format!("it answers {sent}: it sends to another address");
+    let Some(next) = target(address, &first) else {
+        return Some(format!("{lead} and does not say to which"));
+    };
+    // No answer to this question, as where the other address has TLS, is no fault.
+    let second = head(&next).ok()?;
+    if sent_elsewhere(&second).is_some() {
+        let last = target(&next, &second)?;
+        let leads_back = is_same(address, &last) || is_same(&next, &last);
+        return leads_back.then(|| format!("{lead}, which sends back"));
+    }
+    let answer = without_pictures(&second)?;
+    Some(format!("{lead}, and there {answer}"))
+}
+
+/// The status of an answer that sends to another address.
+fn sent_elsewhere(head: &str) -> Option<String> {
+    let (code, shown) = status(head)?;
+    (300..400).contains(&code).then_some(shown)
+}
+
+/// The number of an answer's status, and the status as it can be shown.
+fn status(head: &str) -> Option<(u16, String)> {
+    let (_, status) = head.lines().next()?.split_once(' ')?;
+    let code = status.get(..3)?.parse().ok()?;
+    let shown: String = status.chars().filter(|c| !c.is_control()).take(MOST_SHOWN).collect();
+    Some((code, shown.trim_end().to_owned()))
+}
+
+/// The address to which the answer of `address` sends.
+fn target(address: &str, head: &str) -> Option<String> {
+    let location = values(head, "Location").next()?;
+    let location = location.split('#').next().unwrap_or_default();
+    let is_safe = |c: char| !c.is_control() && !c.is_whitespace();
+    if location.is_empty() || !location.chars().all(is_safe) {
+        return None;
+    }
+    if location.contains("://") {
+        return Some(location.to_owned());
+    }
+    let (scheme, _) = address.split_once("://")?;
+    if location.starts_with("//") {
+        return Some(format!("{scheme}:{location}"));
+    }
+    let place = after_login(address);
+    let (authority, path_and_query) = place.split_at(place.find(['/', '?']).unwrap_or(place.len()));
+    if location.starts_with('/') {
+        return Some(format!("{scheme}://{authority}{location}"));
+    }
+    let path = path_and_query.split('?').next().unwrap_or_default();
+    if location.starts_with('?') {
+        return Some(format!("{scheme}://{authority}{path}{location}"));
+    }
+    let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+    Some(format!("{scheme}://{authority}{folder}/{location}"))
+}
+
+/// True if two addresses differ in nothing but a login.
+fn is_same(one: &str, other: &str) -> bool {
+    after_login(one) == after_login(other)
 }
 
 /// What the head of an answer says, if no pictures follow it.
 fn without_pictures(head: &str) -> Option<String> {
-    let (_, status) = head.lines().next()?.split_once(' ')?;
-    let shown: String = status.chars().filter(|c| !c.is_control()).take(MOST_SHOWN).collect();
-    let shown = shown.trim_end();
-    match status.get(..3)?.parse::<u16>().ok()? {
+    let (code, shown) = status(head)?;
+    match code {
         200 => {}
         201..300 => return Some(format!("it answers {shown}: no picture")),
-        300..400 => {
-            return Some(format!(
-                "it answers {shown}: it sends to another address, as to a page with a login"
-            ));
-        }
         // With the login it may answer otherwise.
         _ => return None,
     }
@@ -137,6 +194,7 @@ fn unknown(head: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::net::TcpListener;
 
     #[test]
     fn the_last_digest_counts_because_ffmpeg_takes_it() {
@@ -175,13 +233,6 @@ mod tests {
                 "",
                 Some("it answers 204 No Content: no picture"),
             ),
-            (
-                "302 Found",
-                "text/html",
-                Some(
-                    "it answers 302 Found: it sends to another address, as to a page with a login",
-                ),
-            ),
             ("200 OK", "image/jpeg", None),
             ("200 OK", "multipart/x-mixed-replace; boundary=b", None),
             ("200 OK", "application/vnd.apple.mpegurl", None),
@@ -192,5 +243,65 @@ mod tests {
             assert_eq!(without_pictures(&head).as_deref(), said, "{status} {kind}");
         }
         assert_eq!(without_pictures("nonsense"), None);
+    }
+
+    /// A server that answers each path by `answer`, and its address.
+    fn serve(answer: fn(&str) -> String) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = format!("http://{}", listener.local_addr().unwrap());
+        std::thread::spawn(move || {
+            for client in listener.incoming() {
+                let mut client = client.unwrap();
+                let mut question = [0; 1024];
+                let length = client.read(&mut question).unwrap();
+                let question = String::from_utf8_lossy(&question[..length]);
+                let path = question.split(' ').nth(1).unwrap_or_default();
+                client.write_all(answer(path).as_bytes()).unwrap();
+            }
+        });
+        address
+    }
+
+    #[test]
+    fn an_address_that_sends_elsewhere_is_judged_by_what_is_there() {
+        let server = serve(|path| {
+            let of_kind = |kind| format!("HTTP/1.1 200 OK\r\nContent-Type: {kind}\r\n\r\n");
+            let to = |location| format!("HTTP/1.1 302 Found\r\nLocation: {location}\r\n\r\n");
+            match path {
+                "/page" => of_kind("text/html"),
+                "/stream" => of_kind("multipart/x-mixed-replace"),
+                "/cameras/to-page" => to("/page"),
+                "/cameras/to-stream" => to("/stream"),
+                "/to-tls" => to("https://127.0.0.1:1/stream"),
+                "/to-itself" => to("/to-itself?"),
+                "/to-itself?" => to("to-itself?"),
+                "/there" => to("/back"),
+                "/back" => to("/there"),
+                "/far" => to("/cameras/to-page"),
+                _ => "HTTP/1.1 302 Found\r\n\r\n".to_owned(),
+            }
+        });
+        let lead = "it answers 302 Found: it sends to another address";
+        for (path, said) in [
+            (
+                "/cameras/to-page",
+                Some(", and there it answers text/html: a web page, not the camera's stream"),
+            ),
+            ("/cameras/to-stream", None),
+            ("/to-tls", None),
+            ("/to-itself", Some(", which sends back")),
+            ("/there", Some(", which sends back")),
+            ("/far", None),
+            ("/nowhere", Some(" and does not say to which")),
+        ] {
+            let expected = said.map(|said| format!("{lead}{said}"));
+            let asked = server.replace("://", "://ann:s3cret@") + path;
+            assert_eq!(answer_without_pictures(&asked), expected, "{path}");
+        }
+        let found = target(
+            "http://a:b@h:1/x/y?z",
+            "HTTP/1.1 302 F\r\nLocation: w?v#u\r\n",
+        );
+        assert_eq!(found.as_deref(), Some("http://h:1/x/w?v"));
     }
 }

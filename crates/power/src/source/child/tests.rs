@@ -51,6 +51,20 @@ fn an_exited_child_is_restarted_and_leaves_no_zombie_and_no_unfinished_line() {
     }
 }
 
+#[test]
+fn the_last_line_of_the_error_output_is_part_of_the_fault() {
+    let mut child = shell("echo here; printf 'first\\n  broken\\n\\n' >&2; exit 3");
+    assert_eq!(texts(&mut child, 2), ["here", "here"]);
+    let trouble = child.trouble.as_deref();
+    assert_eq!(trouble, Some("it ended with exit status: 3: broken"));
+}
+
+#[test]
+fn a_child_with_much_error_output_goes_on() {
+    let mut child = shell("head -c 300000 /dev/zero >&2; echo here; exec sleep 1000");
+    assert_eq!(texts(&mut child, 1), ["here"]);
+}
+
 /// What remains of an over-long line must not be taken for a line of its own: a meter would read numbers from its middle.
 #[test]
 fn a_line_that_is_too_long_is_passed_over_whole() {

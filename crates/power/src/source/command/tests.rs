@@ -56,7 +56,10 @@ fn a_program_that_goes_on_ends_each_set_with_an_empty_line() {
 #[case::a_sentence("echo usage: watts", "`usage: watts` is not a name and watts")]
 #[case::no_number("echo total NaN", "`total NaN`")]
 #[case::failed("exit 7", "it ended with exit status: 7")]
-#[case::missing("no-such-program-here", "it ended with exit status: 127")]
+#[case::failed_with_a_word("echo broken >&2; exit 1", "it ended with exit status: 1: broken")]
+#[case::missing("no-such-program-here", "it ended with exit status: 127: ")]
+#[case::a_negative_total("echo total -5", "`total` (-5 W) is negative: change its sign")]
+#[case::a_negative_sum("echo plug -5", "its lines (-5 W) is negative: change its sign")]
 fn a_program_that_prints_something_else_is_refused_with_its_line(
     #[case] script: &str,
     #[case] expected: &str,
@@ -64,6 +67,21 @@ fn a_program_that_prints_something_else_is_refused_with_its_line(
     let error = open(script).unwrap_err();
     assert_contains(&error, &["power.command: ", expected]);
     assert!(matches!(error, MeterError::Failed(_)));
+}
+
+#[test]
+fn a_program_that_goes_on_without_empty_lines_is_told_to_print_them() {
+    let mut meter = open("printf 'total 1\\n\\n'; echo total 5; exec sleep 60").unwrap();
+    let given_up = std::time::Instant::now() + Duration::from_secs(20);
+    while meter.rails.is_empty() {
+        assert!(std::time::Instant::now() < given_up, "no line");
+        meter.poll(Instant::now()).unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let later = Instant::now() + 2 * LATE;
+    let error = meter.poll(later).unwrap_err();
+    let expected = "it must print an empty line after each reading, or end";
+    assert_contains(error, &["no reading for", expected]);
 }
 
 #[test]
