@@ -13,6 +13,7 @@ pub mod imagenet_vid;
 pub mod kitti;
 pub mod mot_challenge;
 mod pass;
+mod picture_name;
 pub mod recorded;
 mod rows;
 mod truth;
@@ -79,9 +80,12 @@ pub struct Clip {
     pub truth: Option<Vec<Vec<ScoredBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
-    /// The file names of all pictures of its source, also of those that are none of its frames; in labels, that of each
-    /// frame's picture, empty if they do not list the frame. Without entries if nobody knows them.
+    /// The file names of all pictures of its source, also of those that are none of its frames; without entries if they
+    /// are no files.
     pub file_names: Vec<String>,
+    /// The names by which its ground truth calls the picture of each frame, empty if it does not list the frame;
+    /// without entries if it has no names.
+    pub label_names: Vec<String>,
     /// What the ground truth marks as not to be judged, one list per frame; empty if it marks nothing.
     pub ignored: Vec<Vec<Ignored>>,
     /// Grey pictures and step times, if a detector ran on the pictures in this run.
@@ -90,7 +94,7 @@ pub struct Clip {
     pub classes: Evaluated,
     /// The pictures of its source that cannot be used, by their places in it; they are none of its frames.
     pub unusable: Vec<usize>,
-    /// The places of its frames in the video that they are taken from, if the data set says them.
+    /// The places of its frames in the video that they are taken from, if its ground truth says them.
     pub places: Vec<usize>,
 }
 
@@ -108,6 +112,7 @@ impl Clip {
             truth: None,
             pictures: Vec::new(),
             file_names: Vec::new(),
+            label_names: Vec::new(),
             ignored: Vec::new(),
             pass: None,
             classes: Evaluated::Road,

@@ -85,6 +85,7 @@ pub fn export(
     }
     let mut exported = Exported::default();
     let mut coco = coco::Coco::default();
+    let mut readable = 0;
     for path in recordings {
         let before = exported.pictures;
         let mut sequences = BTreeMap::<String, mot::Sequence>::new();
@@ -101,8 +102,10 @@ pub fn export(
                 }
             }
         };
-        let left_out = frames::read(path, frames, write_frame)?;
-        exported.left_out.extend(left_out);
+        let read = frames::read(path, frames, write_frame)?;
+        readable += usize::from(read.is_recording);
+        exported.left_out.extend(read.left_out);
+        exported.notes.extend(read.notes);
         for sequence in sequences.into_values() {
             exported.notes.extend(sequence.finish()?);
         }
@@ -112,11 +115,12 @@ pub fn export(
         done(&exported);
     }
     if exported.pictures == 0 {
-        let were_read = match recordings.len() {
+        let reasons = [exported.left_out, exported.notes].concat().join("; ");
+        let were_read = match readable {
+            0 => return Err(EvalError::new(&reasons)),
             1 => "1 recording was".to_owned(),
             number => format!("{number} recordings were"),
         };
-        let reasons = exported.left_out.join("; ");
         let help = match frames {
             ExportedFrames::Audit => {
                 "no frame of the audit: record them with when = [\"audit\"] in [record], or export the frames as shown with \

@@ -3,26 +3,51 @@
 use crate::error::EvalError;
 use serde::Serialize;
 use std::error::Error;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 /// The first bytes of a file that gzip has compressed.
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 
-/// Reads the text of a file, without the mark of the byte order with which some editors begin it; `help` says what to do
-/// if it is missing.
+/// The mark of the byte order, with which some editors begin a text in UTF-8, and those with which one in UTF-16
+/// begins.
+const UTF8: &[u8] = "\u{feff}".as_bytes();
+const UTF16: [[u8; 2]; 2] = [[0xff, 0xfe], [0xfe, 0xff]];
+
+/// Reads the text of a file, without the mark of the byte order; `help` says what to do if it is missing.
 pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
     let mut bytes = std::fs::read(path).map_err(|error| EvalError::read(path, error, help))?;
-    if bytes.starts_with(&GZIP) {
-        return Err(EvalError::content(
-            path,
-            "it is compressed: gunzip it first",
-        ));
-    }
-    if bytes.starts_with("\u{feff}".as_bytes()) {
-        bytes.drain(.."\u{feff}".len());
+    check_is_text(path, &bytes)?;
+    if bytes.starts_with(UTF8) {
+        bytes.drain(..UTF8.len());
     }
     String::from_utf8(bytes)
         .map_err(|error| EvalError::content(path, format!("it is not text in UTF-8: {error}")))
+}
+
+/// Opens the text of a file behind the mark of the byte order; `help` says what to do if it is missing.
+pub(crate) fn open_text(path: &Path, help: &str) -> Result<BufReader<File>, EvalError> {
+    let unreadable = |error| EvalError::read(path, error, help);
+    let mut text = BufReader::new(File::open(path).map_err(unreadable)?);
+    let begins = text.fill_buf().map_err(unreadable)?;
+    check_is_text(path, begins)?;
+    if begins.starts_with(UTF8) {
+        text.consume(UTF8.len());
+    }
+    Ok(text)
+}
+
+/// Makes sure that what begins so is not compressed, and no text of another kind.
+fn check_is_text(path: &Path, begins: &[u8]) -> Result<(), EvalError> {
+    let what = if begins.starts_with(&GZIP) {
+        "it is compressed: gunzip it first"
+    } else if UTF16.iter().any(|mark| begins.starts_with(mark)) {
+        "it is not text in UTF-8: it is in UTF-16"
+    } else {
+        return Ok(());
+    };
+    Err(EvalError::content(path, what))
 }
 
 /// Lists the paths in a folder for which `wanted` is true, sorted; what cannot be listed is left out.

@@ -7,6 +7,7 @@ mod open;
 mod pace;
 mod pictures;
 mod recording;
+mod riff;
 mod source;
 mod video;
 mod video_files;

@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 
 from albireo import Boxes, Skipper
+from albireo.results import read
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -30,6 +31,40 @@ class Arrays(unittest.TestCase):
         for shape in [(2, 4), (6,), (1, 2, 6)]:
             with self.assertRaisesRegex(ValueError, r"must be \(N, 6\): x1, y1, x2, y2, confidence, class"):
                 Skipper(size=SIZE).update(np.zeros(shape))
+
+    def test_rows_in_half_precision_are_returned_with_ids_that_differ(self):
+        rows = np.array([[*XYXY[0], 0.9, 2], [*XYXY[1], 0.8, 7]], np.float16)
+        on_device = Results(np.zeros((480, 640, 3), np.uint8), "", {}, Tensor(rows))
+        in_memory = Results(np.zeros((480, 640, 3), np.uint8), "", {}, rows)
+        columns = np.array([0.9, 0.8]), np.array([2, 7]), np.array([2048, 2049]), np.array(["detected"] * 2)
+        for result in (rows, on_device, in_memory):
+            _, restore = read(result, SIZE, {})
+            shown = restore(Boxes(XYXY, *columns), None)
+            shown = shown if result is rows else shown.boxes.data
+            shown = shown.cpu().numpy() if isinstance(shown, Tensor) else shown
+            self.assertEqual((shown.dtype, shown[:, 4].tolist()), (np.float32, [2048, 2049]))
+
+    def test_boxes_that_are_hardly_in_pixels_are_reported_once(self):
+        for xyxy, said in [
+            (XYXY / 640, "no box reaches beyond the first pixel; these look like shares"),
+            (XYXY + 2000, "all boxes lie outside the picture of 640x480 pixels"),
+        ]:
+            skip = Skipper("vanilla", size=SIZE)
+            with warnings.catch_warnings(record=True) as reported:
+                warnings.simplefilter("always")
+                for n in range(3):
+                    skip.wants_detector(n)
+                    skip.update((xyxy, [0.9, 0.8], [1, 2]))
+            self.assertEqual([str(one.message)[: len(said)] for one in reported], [said])
+            self.assertEqual(reported[0].filename, __file__)
+
+    def test_boxes_that_reach_out_of_the_picture_and_filled_up_rows_are_not_reported(self):
+        for xyxy in (XYXY - 60, XYXY * 0, XYXY * np.nan, XYXY[:, [2, 3, 0, 1]]):
+            skip = Skipper("vanilla", size=SIZE)
+            skip.wants_detector(0)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                skip.update((xyxy, [0.9, 0.8], [1, 2]))
 
     def test_boxes_keep_their_precision(self):
         for dtype in (np.float32, np.float64):
@@ -144,6 +179,9 @@ class Tensor:
         if self.device != "cpu":
             raise TypeError("can't convert cuda:0 device type tensor to numpy")
         return self.array
+
+    def float(self):
+        return Tensor(self.array.astype(np.float32), self.device)
 
     def new_tensor(self, array):
         return Tensor(np.asarray(array, self.array.dtype), self.device)

@@ -362,6 +362,9 @@ class Track(unittest.TestCase):
             list(albireo.track([np.zeros((4, 4))], detector))
         with self.assertRaisesRegex(TypeError, r"uint8 of shape \(4, 4, 2\)"):
             list(albireo.track([np.zeros((4, 4, 2), np.uint8)], detector))
+        for one in (np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640, 4), np.uint8)):
+            with self.assertRaisesRegex(ValueError, r"shape \(480, 640, \d\): this is one picture: give \[picture\]"):
+                albireo.track(one, detector)
         with self.assertRaisesRegex(ValueError, "picture 1 has 9x9 pixels"):
             list(albireo.track([np.zeros((720, 1280), np.uint8), np.zeros((9, 9), np.uint8)], detector))
 

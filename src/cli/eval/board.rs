@@ -4,11 +4,11 @@
 mod setup;
 
 use super::JUDGED;
-use super::video::{clip_names, truth_places};
+use super::video::{clip_names, truth_places, without_boxes};
 use crate::cli::play::clip::{self, Extent, Loaded};
 use crate::cli::play::{Player, check_pace, choose_meter, node_configuration, with_truth};
 use crate::cli::progress;
-use crate::cli::terminal::program;
+use crate::cli::terminal::{self, program};
 use crate::cli::values::{counted, not_negative, parse_rate};
 use albireo_eval::board::{ClipRun, RunsFile, TRACED_CLIPS};
 use albireo_eval::data::classes::Evaluated;
@@ -331,8 +331,8 @@ fn measured_clips(
                     let rate = paced_rate(arguments, truth, alone, &*footage);
                     check_pace(frames, rate, WITHOUT_PACE).with_context(|| name.clone())?;
                 }
-                let Some(first) = footage.next()? else {
-                    bail!("{name}: it has no pictures");
+                let Some(first) = clip::first_picture(&mut *footage)? else {
+                    bail!("{name}: it has no pictures that can be read");
                 };
                 let files = footage.file_names();
                 let size = first.size;
@@ -344,7 +344,7 @@ fn measured_clips(
             }
             if let Some(frames) = frames
                 && is_video
-                && let Some(first) = footage.next()?
+                && let Some(first) = clip::first_picture(&mut *footage)?
                 && let Some(doubt) = clip::doubt_of_size(&name, &first, frames)
             {
                 eprintln!("{doubt}");
@@ -360,8 +360,12 @@ fn measured_clips(
         }
     }
     // The labels of a video are held against it when it is read.
-    if clips.iter().all(|clip: &MeasuredClip| clip.content.is_some()) {
-        report.check_boxes(boxes)?;
+    if clips.iter().all(|clip: &MeasuredClip| clip.content.is_some())
+        && let Err(nothing) = report.check_boxes(boxes)
+    {
+        let all_frames = None;
+        let line = without_boxes(&arguments.ground_truth, all_frames, nothing);
+        eprintln!("{}", terminal::error(&line));
     }
     for line in report.lines() {
         eprintln!("Ground truth: {line}");
@@ -498,7 +502,8 @@ impl Measuring<'_> {
             }
         };
         let (player, clip) = self.loaded.insert(loaded);
-        let content = content_of(clip);
+        // Of pictures and their labels it was known before they were read.
+        let content = of.content.clone().unwrap_or_else(|| content_of(clip));
         file.check_clip(&of.name, &content)?;
         let played = player.play(policy, progress, shutdown).await?;
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
@@ -546,22 +551,22 @@ impl Measuring<'_> {
             tell(&warning);
             self.unusable.push((of.name.clone(), loaded.unusable.len()));
         }
-        let Loaded { pictures, size, .. } = loaded;
+        let Loaded {
+            pictures,
+            size,
+            left_out,
+            ..
+        } = loaded;
         let frames = pictures.frames().unwrap_or_default();
         if arguments.paced {
             check_pace(frames, rate, WITHOUT_PACE)?;
         }
         let mut report = LoadReport::default();
-        let truth = &mut self.truth;
-        let clip = with_truth(
-            truth,
-            &of.name,
-            size,
-            frames,
-            files,
-            self.alone,
-            &mut report,
-        )?;
+        let mut clip = Clip::new(of.name.clone(), size, usize::try_from(frames)?);
+        clip.file_names = files;
+        let whole = Some(clip.frames + left_out.len());
+        clip.unusable = left_out;
+        self.truth.attach_to(&mut clip, self.alone, whole, &mut report)?;
         let unlabelled = clip.unlabelled();
         // Of clips that are no videos all this was said before the first run.
         if of.content.is_none() {

@@ -23,6 +23,7 @@ use anyhow::{bail, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use std::collections::{BTreeSet, HashSet};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// The detector that the project brings.
@@ -293,8 +294,10 @@ impl Evaluation<'_> {
                 boxes += clip.truth_boxes();
             }
         }
-        if are_all_known {
-            left_out.check_boxes(boxes)?;
+        if are_all_known && let Err(nothing) = left_out.check_boxes(boxes) {
+            let most = self.pass_settings.max_frames;
+            let line = without_boxes(&self.video.ground_truth, most, nothing);
+            eprintln!("{}", terminal::error(&line));
         }
         Ok(())
     }
@@ -437,6 +440,25 @@ impl Evaluation<'_> {
         }
         Ok(())
     }
+}
+
+/// Warns that the ground truth of these files has `nothing` for the first frames of the clips, of each so many at
+/// `most`. It is no mistake: a clip can be without objects.
+pub(super) fn without_boxes(
+    files: &[PathBuf],
+    most: Option<usize>,
+    nothing: impl Display,
+) -> String {
+    // The demonstration has its own.
+    let mut names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
+    if names.is_empty() {
+        names.push("demo".to_owned());
+    }
+    let limit = most.map(|most| format!(" (--frames {most})")).unwrap_or_default();
+    format!(
+        "albireo: {}: of the frames that are played{limit}: {nothing}",
+        names.join(", ")
+    )
 }
 
 /// Returns the report's heading: the clips' names, or the first of many.
@@ -636,6 +658,16 @@ mod tests {
         // It is refused before the models are loaded, of which there are none.
         let refused = start_models(&pass).err().unwrap().to_string();
         assert!(refused.contains("another folder"), "{refused}");
+    }
+
+    #[test]
+    fn frames_without_a_box_are_told_with_the_files_and_the_limit() {
+        let files = ["a.json", "b.json"].map(PathBuf::from);
+        let most = Some(20);
+        let said = without_boxes(&files, most, "no box");
+        let expected =
+            "albireo: a.json, b.json: of the frames that are played (--frames 20): no box";
+        assert_eq!(said, expected);
     }
 
     #[test]

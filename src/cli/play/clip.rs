@@ -40,6 +40,8 @@ pub(in crate::cli) struct Loaded {
     pub is_cut: bool,
     /// The pictures that cannot be decoded, with their names and why.
     pub unusable: Vec<String>,
+    /// The places in the source of those that cannot be read, which are none of its pictures.
+    pub left_out: Vec<usize>,
     /// What is missing of the source, and what was made of its times.
     pub remarks: Vec<String>,
 }
@@ -119,11 +121,17 @@ pub(in crate::cli) fn load(
     let limits = FrameLimits::default();
     let mut tried = Picture::default();
     let mut unusable = Vec::new();
+    let mut unread = Unread::default();
     let mut pictures: Vec<EncodedPicture> = Vec::new();
     let mut bytes = 0;
     while pictures.len() < most {
-        let Some(picture) = source.next()? else {
-            break;
+        let picture = match source.next() {
+            Ok(None) => break,
+            Ok(Some(picture)) => picture,
+            Err(fault) => {
+                unread.add(pictures.len(), fault.into(), &*source)?;
+                continue;
+            }
         };
         bytes += picture.bytes.len();
         if bytes > MAX_BYTES {
@@ -147,15 +155,89 @@ pub(in crate::cli) fn load(
     }
     let is_cut = pictures.len() == most && has_more(&mut *source);
     let Some(first) = pictures.first() else {
-        bail!("{}: it has no frames", source.name());
+        match unread.first {
+            Some(fault) => bail!("{}: nothing of it can be read: {fault}", source.name()),
+            None => bail!("{}: it has no frames", source.name()),
+        }
     };
+    let mut remarks = unread.remarks(source.name());
+    remarks.extend(source.remarks());
     Ok(Loaded {
         size: first.size,
         is_cut,
         pictures: Pictures::in_memory(source.name().to_owned(), pictures, source.rate()),
         unusable,
-        remarks: source.remarks(),
+        left_out: unread.places,
+        remarks,
     })
+}
+
+/// What of a source cannot be read although what follows it can.
+#[derive(Default)]
+struct Unread {
+    places: Vec<usize>,
+    /// Why the first cannot be read, with its name.
+    first: Option<String>,
+}
+
+impl Unread {
+    /// Adds what follows so many pictures.
+    ///
+    /// # Errors
+    /// The `fault` itself, if nothing follows.
+    fn add(
+        &mut self,
+        pictures: usize,
+        fault: anyhow::Error,
+        source: &dyn FrameSource,
+    ) -> anyhow::Result<()> {
+        let Some(name) = source.picture_name() else {
+            return Err(fault);
+        };
+        self.places.push(pictures + self.places.len());
+        if self.first.is_none() {
+            let said = fault.to_string();
+            // What reads a file names it already.
+            self.first = Some(if said.contains(&name) {
+                said
+            } else {
+                format!("{name}: {said}")
+            });
+        }
+        Ok(())
+    }
+
+    /// What is to be said of it.
+    fn remarks(&self, source: &str) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if let Some(first) = &self.first {
+            let unread = counted(
+                self.places.len() as u64,
+                "picture or file",
+                "pictures or files",
+            );
+            remarks.push(format!(
+                "{source}: {unread} cannot be read and are left out, with their ground truth. The first: {first}"
+            ));
+        }
+        remarks
+    }
+}
+
+/// The first picture of a source that can be read; `None` if there is none.
+///
+/// # Errors
+/// When the source fails.
+pub(in crate::cli) fn first_picture(
+    source: &mut dyn FrameSource,
+) -> anyhow::Result<Option<EncodedPicture>> {
+    loop {
+        match source.next() {
+            Ok(first) => return Ok(first),
+            Err(fault) if source.picture_name().is_none() => return Err(fault.into()),
+            Err(_) => {}
+        }
+    }
 }
 
 /// Reads on, and tells whether there is another picture; one that cannot be read is one, too.
@@ -226,6 +308,32 @@ mod tests {
         let sizes = "they have 1025 MiB, and a clip may take 1024 MiB";
         assert!(said.contains(sizes), "{said}");
         assert!(said.contains("split it, and its ground truth"), "{said}");
+    }
+
+    #[test]
+    fn a_picture_that_cannot_be_read_is_left_out_and_told_with_the_first_name() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, picture) in ["2.jpg", "4.jpg"].into_iter().zip(first_pictures(2)) {
+            std::fs::write(folder.path().join(name), &picture.bytes).unwrap();
+        }
+        let pictures = || Pictures::of_folder(folder.path(), 10.0).unwrap();
+        for name in ["1.jpg", "3.jpg"] {
+            std::fs::write(folder.path().join(name), "not a picture").unwrap();
+        }
+        let loaded = load(Box::new(pictures()), Extent::Whole).unwrap();
+        assert_eq!(loaded.pictures.frames(), Some(2));
+        assert_eq!(loaded.left_out, [0, 2]);
+        let said = loaded.remarks.join("");
+        let unread = "2 pictures or files cannot be read";
+        assert!(said.contains(unread), "{said}");
+        assert!(said.contains("1.jpg: "), "{said}");
+        assert!(first_picture(&mut pictures()).unwrap().is_some());
+        for name in ["2.jpg", "4.jpg"] {
+            std::fs::remove_file(folder.path().join(name)).unwrap();
+        }
+        let refused = load(Box::new(pictures()), Extent::Whole).err().unwrap().to_string();
+        assert!(refused.contains("nothing of it can be read: "), "{refused}");
+        assert!(first_picture(&mut pictures()).unwrap().is_none());
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Plays a source on a frame key: decides when each frame is due, and its number, time and clip.
 
 use crate::cli::frames::OutgoingFrame;
+use crate::cli::terminal;
 use crate::cli::values;
 use albireo_eval::footage::FrameSource;
 use albireo_service::clock::unix_nanoseconds;
@@ -120,7 +121,7 @@ enum ReadItem {
     Remark(String),
 }
 
-/// So many of those that are left out for one reason are named; the others are counted.
+/// So many of those that are left out for one reason are named; the others are counted. As many remarks are told.
 const NAMED: u64 = 5;
 
 /// What was told of a source: each fault once, however often the source is read.
@@ -129,6 +130,8 @@ struct Told {
     faults: HashSet<String>,
     /// How many faults have a reason, which is the same for all pictures of a kind that is not read.
     reasons: HashMap<String, u64>,
+    /// How many remarks there were.
+    remarks: u64,
 }
 
 impl Told {
@@ -147,9 +150,19 @@ impl Told {
         Some(ReadItem::LeftOut(said))
     }
 
-    /// What is to be said of a source; `None` if it was told before.
+    /// What is to be said of a source; `None` if it was told before, and behind a few: a source that is read again and
+    /// again can give another one each time.
     fn remark(&mut self, said: String) -> Option<ReadItem> {
-        self.faults.insert(said.clone()).then_some(ReadItem::Remark(said))
+        if self.remarks >= NAMED || !self.faults.insert(said.clone()) {
+            return None;
+        }
+        self.remarks += 1;
+        match self.remarks {
+            NAMED => Some(ReadItem::Remark(format!(
+                "{said} (more of this kind are not told)"
+            ))),
+            _ => Some(ReadItem::Remark(said)),
+        }
     }
 }
 
@@ -236,11 +249,12 @@ async fn next_picture(
             ReadItem::LeftOut(said) => {
                 sent.left_out += 1;
                 if let Some(said) = said {
-                    eprintln!("albireo: left out: {said}");
+                    let line = format!("albireo: left out: {said}");
+                    eprintln!("{}", terminal::error(&line));
                 }
             }
             ReadItem::Remark(said) => {
-                eprintln!("albireo: {said}");
+                eprintln!("{}", terminal::error(&format!("albireo: {said}")));
                 sent.remarks.push(said);
             }
         }

@@ -4,7 +4,8 @@
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
 //! of predictions has the same form and a `score` in each label.
 //!
-//! Frames without an index are in the order of their names, as pictures are.
+//! Frames without an index are in the order of the numbers in their names, as pictures are, or else in that of the
+//! list.
 //!
 //! Labels with a gap, a frame that they do not list although they list one behind it, are of some frames only: what
 //! they do not list is not judged. A frame that is listed without labels has no objects. Labels that name pictures and
@@ -15,6 +16,7 @@
 //! no exception: under [`Rules::Paper`] crowds are ground truth like any other box.
 
 use super::classes::Evaluated;
+use super::picture_name::NumberedName;
 use super::rows::MAX_FRAMES;
 use super::{
     Clip, DataSet, LabelledBox, LeftOut, LoadReport, Rules, TRUTH_CONFIDENCE, has_extension,
@@ -24,7 +26,7 @@ use crate::error::EvalError;
 use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_vision::picture::natural_key;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, BTreeSet, HashMap, btree_map};
 use std::path::{Path, PathBuf};
@@ -49,6 +51,9 @@ struct Frame {
     /// `None` if the key is missing.
     #[serde(default, deserialize_with = "listed")]
     labels: Option<Vec<Label>>,
+    /// What the labels are called in other formats.
+    #[serde(default, rename = "frames", alias = "objects")]
+    foreign: Option<IgnoredAny>,
 }
 
 /// Reads the labels of a frame; BDD100K writes `null` for none.
@@ -180,7 +185,7 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
                     clip.ignore(*frame, *region);
                 }
             }
-            clip.file_names = file_names(&truth);
+            clip.label_names = label_names(&truth);
             clip.truth = Some(spread(truth, frames));
         }
         clip.detections = detections.map(|detections| spread(detections, frames));
@@ -198,7 +203,7 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
 }
 
 /// The name of each frame's picture, empty for a frame that is not listed; none if one that is listed has none.
-fn file_names(by_index: &BTreeMap<usize, Labelled>) -> Vec<String> {
+fn label_names(by_index: &BTreeMap<usize, Labelled>) -> Vec<String> {
     let mut names = vec![String::new(); length(Some(by_index))];
     for (index, labelled) in by_index {
         if labelled.name.is_empty() {
@@ -233,10 +238,28 @@ fn check(frames: &[Frame]) -> Result<(), String> {
             "{NO_FRAMES}: entry {number} has neither `name` nor `frameIndex` nor `labels`"
         ));
     }
-    if !frames.is_empty() && frames.iter().all(|frame| frame.labels.is_none()) {
-        return Err(format!("{NO_FRAMES}: no frame has `labels`"));
+    let is_foreign = |frame: &Frame| frame.labels.is_none() && frame.foreign.is_some();
+    if let Some(number) = frames.iter().position(is_foreign) {
+        return Err(format!(
+            "{NO_FRAMES}: entry {number} has `frames` or `objects` in place of `labels`"
+        ));
     }
     Ok(())
+}
+
+/// Puts frames without an index into the order of the numbers in their names. A video whose names differ in more than
+/// their numbers, such as random ones, keeps the order of the list.
+fn sort(frames: &mut [Frame]) {
+    let mut patterns: BTreeMap<Option<String>, BTreeSet<String>> = BTreeMap::new();
+    for frame in frames.iter() {
+        let pattern = NumberedName::of(&frame.name).pattern;
+        patterns.entry(frame.video.clone()).or_default().insert(pattern);
+    }
+    frames.sort_by_cached_key(|frame| {
+        let has_one_pattern = patterns.get(&frame.video).is_some_and(|all| all.len() == 1);
+        let numbers = NumberedName::of(&frame.name).numbers;
+        has_one_pattern.then_some(numbers)
+    });
 }
 
 /// What a file of labels contains.
@@ -258,6 +281,9 @@ struct Reading<'a> {
 impl Reading<'_> {
     fn videos(self, path: &Path, kind: Kind, report: &mut LoadReport) -> Result<Videos, EvalError> {
         let mut videos = Videos::new();
+        // Some exporters leave out the key `labels` of frames without any.
+        let mut are_frames = false;
+        let mut first = None;
         for file in json_files(path)? {
             let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
             let parsed = if text.trim_start().starts_with('[') {
@@ -270,8 +296,14 @@ impl Reading<'_> {
                 EvalError::line(&file, error.line() as u64, what)
             })?;
             check(&frames).map_err(|what| EvalError::content(&file, what))?;
+            are_frames |= frames.iter().any(|frame| {
+                frame.labels.is_some() || frame.index.is_some() || frame.video.is_some()
+            });
+            if !frames.is_empty() {
+                first.get_or_insert_with(|| file.clone());
+            }
             if frames.iter().all(|frame| frame.index.is_none()) {
-                frames.sort_by_cached_key(|frame| natural_key(Path::new(&frame.name)));
+                sort(&mut frames);
             }
             let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
             for frame in frames {
@@ -304,7 +336,14 @@ impl Reading<'_> {
                 });
             }
         }
-        Ok(videos)
+        match first {
+            Some(file) if !are_frames => {
+                let what =
+                    format!("{NO_FRAMES}: no frame has `labels`, `frameIndex` or `videoName`");
+                Err(EvalError::content(&file, what))
+            }
+            _ => Ok(videos),
+        }
     }
 
     /// Reads the labels of a frame, without those that are left out.

@@ -4,9 +4,10 @@
 //! `frame_id`, and otherwise of the file names, as pictures are. Boxes are `[x, y, width, height]`. Source: COCO data
 //! format, cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 //!
-//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, and their names do not say
-//! which ones these are, `frame_id` (`frame_index`) is the picture's place in it: counted from 1 if the lowest of the
-//! whole file is 1, and otherwise from 0.
+//! Images are the pictures of their names. If a clip has more pictures than its images, as with TAO's labels of one
+//! frame in thirty, and none has the name of an image, `frame_id` (`frame_index`) is the picture's place in it: counted
+//! from 1 if the lowest of the whole file is 1, and otherwise from 0. Names and numbers that contradict each other are
+//! refused.
 //!
 //! A video with TAO's `neg_category_ids` is labelled for these categories, which do not occur in it, and for those that
 //! have boxes there, except that of its `not_exhaustive_category_ids` only some objects have one. Boxes of all other
@@ -18,7 +19,7 @@ use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LeftOut, TRUTH_CONFIDENCE};
 use crate::error::EvalError;
-use crate::files::{entries, read_text};
+use crate::files::{entries, open_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -26,7 +27,7 @@ use albireo_vision::picture::natural_key;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fmt::Display;
 use std::hash::Hash;
 use std::path::{Path, PathBuf};
@@ -59,10 +60,27 @@ impl Dataset {
         for video in &self.videos {
             videos.add(video.id, video.name.as_deref().unwrap_or_default())?;
         }
-        let mut annotations = Ids::of("annotations");
-        for (number, annotation) in self.annotations.iter().flatten().enumerate() {
-            if let Some(id) = &annotation.id {
-                annotations.add(id, number)?;
+        self.check_annotations()
+    }
+
+    /// Makes sure that no annotation is listed twice, as in files that were merged. Nothing is found by the id of an
+    /// annotation, so some files give all the same one, or that of the image.
+    fn check_annotations(&self) -> Result<(), String> {
+        let annotations = self.annotations.iter().flatten();
+        let mut with_id: Vec<&Annotation> = annotations.filter(|one| one.id.is_some()).collect();
+        with_id.sort_unstable_by_key(|annotation| annotation.place());
+        for alike in with_id.chunk_by(|a, b| a.place() == b.place()) {
+            let mut ids = HashSet::new();
+            for annotation in alike {
+                let is_new = ids.insert(&annotation.id);
+                if let Some(id) = &annotation.id
+                    && !is_new
+                {
+                    let image = annotation.image_id;
+                    return Err(format!(
+                        "the annotation {id} is listed twice, on the image {image}"
+                    ));
+                }
             }
         }
         Ok(())
@@ -136,6 +154,24 @@ struct Annotation {
     instance_id: Option<u64>,
     #[serde(default)]
     score: Option<f64>,
+}
+
+/// The image, the class and the box of an annotation, as bits that can be compared.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct AnnotatedPlace {
+    image: u64,
+    category: u64,
+    bbox: [u64; 4],
+}
+
+impl Annotation {
+    fn place(&self) -> AnnotatedPlace {
+        AnnotatedPlace {
+            image: self.image_id,
+            category: self.category_id,
+            bbox: self.bbox.map(f64::to_bits),
+        }
+    }
 }
 
 /// Reads a flag, which files write as a number or as `true`.
@@ -356,8 +392,9 @@ fn file_of(place: &Path) -> Result<PathBuf, EvalError> {
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {
-    let text = read_text(path, help)?;
-    serde_json::from_str(&text).map_err(|error| EvalError::json(path, &error))
+    // Such files can be large, so their text is never in memory as a whole.
+    let text = open_text(path, help)?;
+    serde_json::from_reader(text).map_err(|error| EvalError::json(path, &error))
 }
 
 fn corners([x, y, width, height]: [f64; 4]) -> Corners {
@@ -445,11 +482,11 @@ fn frames(
             usize::try_from(number).ok().filter(|number| *number < MAX_FRAMES)
         };
         let all_places: Option<Vec<usize>> = images.iter().map(place_in_video).collect();
-        let mut file_names: Vec<String> =
+        let mut label_names: Vec<String> =
             images.iter().map(|image| image.file_name.clone()).collect();
-        if file_names.iter().any(String::is_empty) {
+        if label_names.iter().any(String::is_empty) {
             // Such an image cannot be placed by its name, so none is.
-            file_names.clear();
+            label_names.clear();
         }
         let video = images[0].video_id.and_then(|id| videos.get(&id));
         let frame_rate = video.and_then(|video| video.fps.or(video.frame_rate));
@@ -458,7 +495,7 @@ fn frames(
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
             places: all_places.unwrap_or_default(),
-            file_names,
+            label_names,
             ..Clip::new(name, picture, images.len())
         });
     }

@@ -138,7 +138,7 @@ fn read_clip(
         }
         let LabelFile { stem, boxes } = file.unwrap_or_default();
         truth.push(boxes);
-        clip.file_names.push(stem);
+        clip.label_names.push(stem);
     }
     clip.truth = Some(truth);
     Ok(clip)

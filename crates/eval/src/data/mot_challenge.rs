@@ -4,11 +4,12 @@
 //! Rows are `frame,id,left,top,width,height,…` with frames and pixels counted from 1. In ground truth of
 //! 2016 and later (nine columns) the seventh is 0 for boxes not to be judged and the eighth the class; the
 //! 2015 release (ten columns) has pedestrians only, and their place in the world, or -1, from the eighth on. Source:
-//! MOT16 paper, arXiv 1603.00831, table 3. A whole number other than -1 in the eighth of ten columns is a class, too.
+//! MOT16 paper, arXiv 1603.00831, table 3. If the eighth of ten columns is the number of a class, or -1, in every row
+//! of a file, these are classes, too.
 //!
 //! Files in this form that have classes of their own name them: `classes.txt` beside `seqinfo.ini` has lines such as
 //! `14 truck`, as `albireo export` writes it, and `gt/labels.txt` a name in each line, of the classes from 1 on, as CVAT
-//! writes it.
+//! writes it. A `classes.txt` without numbers is another program's.
 //!
 //! The benchmark judges pedestrians. It excuses boxes on people on vehicles, people who stand still, distractors and
 //! reflections, since 2020 also on vehicles without motor, and on no other label, as in TrackEval 1.3.0
@@ -76,8 +77,14 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
     };
     if labels.path.exists() {
         let numbers = SequenceClasses::read(folder, &clip.name)?;
+        let has_classes = has_classes(&labels, &numbers)?;
         let by_frame = labels.read(GONE, |row, lines| {
-            lines.extend(truth_line(row, &numbers, picture, report)?);
+            let number = if has_classes || row.len() < WITH_PLACES {
+                row.integer(CLASS, "class")?
+            } else {
+                PEDESTRIAN_OF_2015
+            };
+            lines.extend(truth_line(row, number, &numbers, picture, report)?);
             Ok(())
         })?;
         let mut truth = vec![Vec::new(); by_frame.len()];
@@ -178,8 +185,11 @@ impl SequenceClasses {
         let mut names = HashMap::new();
         let numbered = folder.join("classes.txt");
         let listed = folder.join("gt/labels.txt");
+        let mut text = String::new();
         if numbered.exists() {
-            let text = read_text(&numbered, GONE)?;
+            text = read_text(&numbered, GONE)?;
+        }
+        if text.lines().any(|line| numbered_name(line).is_some()) {
             for (number, line) in (1..).zip(text.lines()) {
                 if line.trim().is_empty() {
                     continue;
@@ -210,6 +220,11 @@ impl SequenceClasses {
         }
     }
 
+    /// True if a class can have this number.
+    fn can_be(&self, number: i64) -> bool {
+        number >= 1 || number == PEDESTRIAN_OF_2015 || self.names.contains_key(&number)
+    }
+
     /// The rule by which MOTChallenge excuses boxes of all classes at labels of this number, if it does.
     fn excuse(&self, number: i64) -> Option<Mark> {
         match number {
@@ -229,24 +244,37 @@ fn numbered_name(line: &str) -> Option<(i64, String)> {
     Some((number.parse().ok()?, name.trim().to_owned()))
 }
 
-/// The number of a row's class; -1 if it has none, as in the 2015 release.
-fn class_number(row: &Row<'_>) -> Result<i64, EvalError> {
-    if row.len() <= 9 {
-        return row.integer(7, "class");
-    }
-    // A place in the world is no whole number.
-    Ok(row.text(7, "class")?.parse().unwrap_or(-1))
+/// The column of a row's class.
+const CLASS: usize = 7;
+
+/// As many columns have the rows of the 2015 release, with a place in the world.
+const WITH_PLACES: usize = 10;
+
+/// The class of a row without one.
+const PEDESTRIAN_OF_2015: i64 = -1;
+
+/// True if all rows that can have places in the world have classes there.
+fn has_classes(labels: &Table<'_>, numbers: &SequenceClasses) -> Result<bool, EvalError> {
+    let mut are_classes = true;
+    labels.read(GONE, |row, _: &mut Vec<()>| {
+        if row.len() >= WITH_PLACES {
+            let number = row.text(CLASS, "class")?.parse::<i64>();
+            are_classes &= number.is_ok_and(|number| numbers.can_be(number));
+        }
+        Ok(())
+    })?;
+    Ok(are_classes)
 }
 
-/// Reads a row of ground truth; `None` if it was left out.
+/// Reads a row of ground truth with a class of this number; `None` if it was left out.
 fn truth_line(
     row: &Row<'_>,
+    number: i64,
     numbers: &SequenceClasses,
     picture: PictureSize,
     report: &mut LoadReport,
 ) -> Result<Option<TruthLine>, EvalError> {
     let is_judged = row.number::<f64>(6, "consider")? != 0.0;
-    let number = class_number(row)?;
     let corners = corners(row)?;
     let class = numbers.class(number);
     // Boxes of which class are excused there, and by which rule.

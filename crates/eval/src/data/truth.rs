@@ -1,6 +1,7 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
 use super::classes::{self, Evaluated, MOST_NAMED};
+use super::picture_name::{NumberedName, file_name, stem};
 use super::{
     Clip, DataSet, LoadReport, Rules, bdd100k, coco, imagenet_vid, kitti, mot_challenge, recorded,
     visdrone,
@@ -9,7 +10,7 @@ use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::judge::{Ignored, unlabelled};
 use albireo_core::geometry::PictureSize;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// The layout of ground truth.
@@ -317,10 +318,11 @@ impl GroundTruth {
             ))
         };
         let pictures = clip.frames + clip.unusable.len();
-        let labels = labels_of(found, self.format, whole, &clip.file_names).map_err(wrong)?;
+        let labels = labels_of(found, self.format, whole, clip).map_err(wrong)?;
         let Some(Labels {
             mut objects,
             mut marks,
+            remark,
         }) = labels
         else {
             return Ok(());
@@ -353,6 +355,8 @@ impl GroundTruth {
         if let Some(left_out) = file.report.take() {
             merge(report, left_out);
         }
+        let remarks = remark.map(|remark| format!("{}: {remark}", clip.name));
+        report.notes.extend(remarks);
         if is_sparse {
             // Nobody labelled what is behind the last label, either.
             let behind = objects.len()..pictures;
@@ -377,6 +381,8 @@ impl GroundTruth {
 struct Labels {
     objects: Vec<Vec<ScoredBox>>,
     marks: Vec<Vec<Ignored>>,
+    /// What is to be said of how they were placed.
+    remark: Option<String>,
 }
 
 impl Labels {
@@ -386,6 +392,7 @@ impl Labels {
         let mut placed = Self {
             objects: vec![Vec::new(); frames],
             marks: vec![vec![Ignored::UNLABELLED]; frames],
+            remark: self.remark,
         };
         let labels = self.objects.into_iter().zip(self.marks);
         for (place, (objects, marks)) in places.iter().zip(labels) {
@@ -398,24 +405,38 @@ impl Labels {
     }
 }
 
-/// The labels of `found`, each at the place of its picture among the `whole` clip's, whose `pictures` have these names, if
-/// they are files; `None` if there are none. If they cannot be this clip's, the error says in words what they are for.
+/// The labels of `found`, each at the place of its picture among the `whole` of those of `clip`; `None` if there are
+/// none. If they cannot be this clip's, the error says in words what they are for.
 fn labels_of(
     found: &Clip,
     format: TruthFormat,
     whole: Option<usize>,
-    pictures: &[String],
+    clip: &Clip,
 ) -> Result<Option<Labels>, String> {
     let Some(objects) = found.truth.clone() else {
         return Ok(None);
     };
-    let listed = Labels {
+    let mut listed = Labels {
         objects,
         marks: found.ignored.clone(),
+        remark: None,
     };
-    let by_name = places_by_name(&found.file_names, pictures)?;
-    if !by_name.is_empty() {
-        return Ok(Some(listed.placed(&by_name, pictures.len())));
+    let pictures = &clip.file_names;
+    match places_by_name(&found.label_names, pictures) {
+        Err(wrong) => {
+            if !are_counted_otherwise(found, format, pictures) {
+                return Err(wrong);
+            }
+            listed.remark = Some(COUNTED_OTHERWISE.to_owned());
+        }
+        Ok(by_name) => {
+            let named: Vec<usize> = by_name.iter().copied().flatten().collect();
+            let looked_at = clip.frames + clip.unusable.len();
+            if !named.is_empty() && !may_be_by_chance(found, format, &named, looked_at) {
+                check_numbers(found, format, &named, pictures)?;
+                return Ok(Some(listed.placed(&by_name, pictures.len())));
+            }
+        }
     }
     // A file of COCO lists pictures, and not always all.
     let lists_all = whole.is_some_and(|whole| whole <= found.frames);
@@ -437,46 +458,172 @@ fn labels_of(
     Ok(Some(listed.placed(&places, frames)))
 }
 
-/// The place of each labelled frame among a clip's `pictures` by their file names, without folders and extensions; `None`
-/// for a frame that the labels do not list. There are no places if no label names a picture of the clip: then one or the
-/// other is named otherwise. If only some do, the error says in words what the labels are for.
+/// The place of each labelled frame among a clip's `pictures` by their file names: without folders and extensions, or
+/// with the extensions if only these tell them apart; `None` for a frame that the labels do not list. There are no
+/// places if no label names a picture of the clip, or the names do not tell them apart: then one or the other is named
+/// otherwise. If only some do, the error says in words what the labels are for.
 fn places_by_name(labelled: &[String], pictures: &[String]) -> Result<Vec<Option<usize>>, String> {
-    let mut known = HashMap::new();
-    for (place, picture) in pictures.iter().enumerate() {
-        known.insert(stem(picture), place);
-    }
-    // Of `1.jpg` and `1.png` no label says which one it is for.
-    if known.len() < pictures.len() {
-        return Ok(Vec::new());
-    }
-    let mut places = Vec::new();
-    let mut named = BTreeSet::new();
-    let mut wrong = None;
-    for name in labelled {
-        let place = known.get(stem(name)).copied();
-        places.push(place);
-        if let Some(place) = place {
-            let is_first = named.insert(place);
-            if !is_first {
-                wrong.get_or_insert_with(|| format!("the picture {name} twice"));
-            }
-        } else if !name.is_empty() {
-            wrong.get_or_insert_with(|| format!("other pictures, too: the clip has no {name}"));
+    let ways: [fn(&str) -> &str; 2] = [stem, file_name];
+    for way in ways {
+        if are_told_apart(labelled, way) && are_told_apart(pictures, way) {
+            return places_by(way, labelled, pictures);
         }
     }
-    if named.is_empty() {
+    let mut listed = HashSet::new();
+    for name in labelled {
+        let is_first = listed.insert(name);
+        if !is_first && pictures.iter().any(|picture| picture == file_name(name)) {
+            return Err(format!("the picture {name} twice"));
+        }
+    }
+    Ok(Vec::new())
+}
+
+/// True if this part of the names is another one for each; a frame that is not listed has none.
+fn are_told_apart(names: &[String], part: fn(&str) -> &str) -> bool {
+    let listed: Vec<&String> = names.iter().filter(|name| !name.is_empty()).collect();
+    let parts: HashSet<&str> = listed.iter().map(|name| part(name)).collect();
+    parts.len() == listed.len()
+}
+
+/// [`places_by_name`] by this part of the names.
+fn places_by(
+    part: fn(&str) -> &str,
+    labelled: &[String],
+    pictures: &[String],
+) -> Result<Vec<Option<usize>>, String> {
+    let mut known = HashMap::new();
+    for (place, picture) in pictures.iter().enumerate() {
+        known.insert(part(picture), place);
+    }
+    let mut places = Vec::new();
+    let mut unknown = None;
+    for name in labelled {
+        let place = known.get(part(name)).copied();
+        places.push(place);
+        if place.is_none() && !name.is_empty() {
+            unknown.get_or_insert(name);
+        }
+    }
+    if places.iter().all(Option::is_none) {
         return Ok(Vec::new());
     }
-    match wrong {
-        Some(wrong) => Err(wrong),
+    match unknown {
+        Some(name) => Err(format!(
+            "other pictures, too: the clip has no {name}. Leave out the labels of others, or name its pictures as the \
+             labels do"
+        )),
         None => Ok(places),
     }
 }
 
-/// A picture's name without folders, as Linux or Windows writes them, and without the extension.
-fn stem(name: &str) -> &str {
-    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
+/// True if nothing but names says that labels are for the first of more pictures: the files of every fifth frame can be
+/// numbered on, too.
+fn may_be_by_chance(found: &Clip, format: TruthFormat, named: &[usize], looked_at: usize) -> bool {
+    let are_first = named.iter().max().is_some_and(|last| last + 1 == named.len());
+    let has_no_numbers = match format {
+        // Numbers without a gap are of all frames.
+        TruthFormat::Bdd100k => found.places.is_empty() && found.frames == named.len(),
+        TruthFormat::Coco => found.places.is_empty(),
+        _ => false,
+    };
+    are_first && has_no_numbers && named.len() < looked_at
+}
+
+/// Makes sure that the numbers of the labels, if they have some, do not contradict the places of the pictures that they
+/// name.
+///
+/// # Errors
+/// What the labels are for, in words.
+fn check_numbers(
+    found: &Clip,
+    format: TruthFormat,
+    named: &[usize],
+    pictures: &[String],
+) -> Result<(), String> {
+    let numbers = match format {
+        TruthFormat::Coco => found.places.clone(),
+        // Those that are in the names say nothing else.
+        TruthFormat::Bdd100k if found.places.is_empty() => listed_frames(&found.label_names),
+        _ => return Ok(()),
+    };
+    let are_all_in_order = named.len() == pictures.len() && named.is_sorted();
+    // Numbers without a gap may only count the labels.
+    let may_count = are_same(&numbers, 0..numbers.len());
+    // A name that has the number itself fits by no chance, such as one of a video of which some pictures are kept.
+    let are_in_names =
+        last_numbers(&found.label_names).is_some_and(|in_names| are_same(&numbers, in_names));
+    let is_certain = are_all_in_order || may_count || are_in_names;
+    if is_certain || are_same(&numbers, named.iter().copied()) {
+        return Ok(());
+    }
+    let pairs = numbers.iter().zip(named);
+    let furthest = pairs.max_by_key(|(number, place)| number.abs_diff(**place));
+    let Some((number, place)) = furthest else {
+        return Ok(());
+    };
+    Err(format!(
+        "the picture {} by a name, and for picture {} of the clip by the number of that frame (frame_id or \
+         frameIndex): leave out the numbers, or name the pictures as those of the clip",
+        pictures[*place],
+        number + 1
+    ))
+}
+
+/// The last number in the name of each frame that labels list; `None` if one has none.
+fn last_numbers(names: &[String]) -> Option<Vec<usize>> {
+    let mut last = Vec::new();
+    for frame in listed_frames(names) {
+        let numbers = NumberedName::of(stem(&names[frame])).numbers;
+        last.push(usize::try_from(*numbers.last()?).ok()?);
+    }
+    Some(last)
+}
+
+/// True if these numbers are the places, be they counted from 0 or 1.
+fn are_same(numbers: &[usize], places: impl IntoIterator<Item = usize>) -> bool {
+    let mut differences = BTreeSet::new();
+    for (number, place) in numbers.iter().zip(places) {
+        if number.abs_diff(place) > 1 {
+            return false;
+        }
+        differences.insert(number.cmp(&place));
+    }
+    differences.len() <= 1
+}
+
+/// What is said of labels that go by their order or numbers although their names differ.
+const COUNTED_OTHERWISE: &str = "its ground truth counts the names of the pictures from another number than their \
+    files: its labels are for the pictures in their order";
+
+/// True if labels name pictures as their files are named, and only count them from another number: each name differs
+/// from that of the picture at its own place by as much.
+fn are_counted_otherwise(found: &Clip, format: TruthFormat, pictures: &[String]) -> bool {
+    let has_places = format == TruthFormat::Coco && found.frames < pictures.len();
+    let mut all_apart = HashSet::new();
+    for frame in listed_frames(&found.label_names) {
+        let mut place = frame;
+        if has_places && let Some(numbered) = found.places.get(frame) {
+            place = *numbered;
+        }
+        let Some(picture) = pictures.get(place) else {
+            return false;
+        };
+        let label = NumberedName::of(stem(&found.label_names[frame]));
+        let file = NumberedName::of(stem(picture));
+        if label.pattern != file.pattern {
+            return false;
+        }
+        let numbers = label.numbers.iter().zip(&file.numbers);
+        let apart: Vec<i64> = numbers.map(|(of_label, of_file)| of_label - of_file).collect();
+        all_apart.insert(apart);
+    }
+    all_apart.len() == 1
+}
+
+/// The frames that labels list, by the names of their pictures.
+fn listed_frames(names: &[String]) -> Vec<usize> {
+    (0..names.len()).filter(|frame| !names[*frame].is_empty()).collect()
 }
 
 /// The entries of `frames` whose pictures can be used.

@@ -21,12 +21,23 @@ pub(super) struct LabelledFrame {
     pub boxes: Vec<BoxMessage>,
 }
 
-/// Gives `each` the frames of a recording. Returns what could not be read, a sentence each.
+/// What was read of a file.
+#[derive(Debug, Default)]
+pub(super) struct ReadFrames {
+    /// False if nothing in it can be read.
+    pub is_recording: bool,
+    /// What is not in the export, a sentence each.
+    pub left_out: Vec<String>,
+    /// What a user of its frames must know, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Gives `each` the frames of a recording.
 pub(super) fn read(
     path: &Path,
     frames: ExportedFrames,
     mut each: impl FnMut(LabelledFrame) -> Result<(), EvalError>,
-) -> Result<Vec<String>, EvalError> {
+) -> Result<ReadFrames, EvalError> {
     let (image, boxes) = match frames {
         ExportedFrames::Audit => (Topic::AuditImage, Topic::Audit),
         ExportedFrames::Shown => (Topic::Image, Topic::Detections),
@@ -35,7 +46,10 @@ pub(super) fn read(
     // When the newest picture of each camera was recorded, and the picture if it can be read: its boxes follow it.
     let mut pictures = BTreeMap::new();
     let mut incomplete = 0;
+    let mut used = 0;
+    let mut read = ReadFrames::default();
     for message in messages.by_ref() {
+        read.is_recording = true;
         let Some((camera, topic)) = Topic::parse(&message.channel.topic) else {
             continue;
         };
@@ -51,22 +65,30 @@ pub(super) fn read(
                 _ => None,
             };
             match labelled {
-                Some(frame) => each(frame)?,
+                Some(frame) => {
+                    each(frame)?;
+                    used += 1;
+                }
                 None => incomplete += 1,
             }
         }
     }
-    let mut left_out = Vec::new();
     let file = path.display();
     if incomplete > 0 {
-        left_out.push(format!(
+        read.left_out.push(format!(
             "{file}: {incomplete} frames have no picture or no boxes"
         ));
     }
-    if let Some(damage) = messages.damage() {
-        left_out.push(format!("{file} is no whole recording: {damage}"));
+    match messages.damage() {
+        None => read.is_recording = true,
+        Some(damage) if read.is_recording => read.notes.push(format!(
+            "{file} ends early ({damage}), as one that is being written: the {used} frames before that are used"
+        )),
+        Some(damage) => read.left_out.push(format!(
+            "{file} is no MCAP file, or was cut before its first frame: {damage}"
+        )),
     }
-    Ok(left_out)
+    Ok(read)
 }
 
 /// The frame with its boxes, which are in the `text` of a message; `None` if that cannot be read.

@@ -277,6 +277,40 @@ fn without_audited_frames_the_error_says_how_to_record_them() {
 }
 
 #[test]
+fn the_pictures_of_a_recording_that_ends_early_are_exported_and_it_is_noted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    recorded(&path);
+    // Without its end, as while it is being written.
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &whole[..whole.len() - 30]).unwrap();
+    let files = recordings(&path).unwrap();
+    let out = folder.path().join("out");
+    let audit = ExportedFrames::Audit;
+    let done = export(&files, &out, ExportFormat::Coco, audit, |_| {}).unwrap();
+    assert_eq!(done.pictures, 2);
+    assert!(done.left_out.is_empty(), "{:?}", done.left_out);
+    let [note] = &*done.notes else {
+        panic!("{:?}", done.notes);
+    };
+    assert!(note.contains("a.mcap ends early"), "{note}");
+    assert!(note.contains("the 2 frames"), "{note}");
+}
+
+#[test]
+fn a_file_that_is_no_recording_is_not_counted_as_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    std::fs::write(&path, "This is a letter. ".repeat(10)).unwrap();
+    let files = recordings(&path).unwrap();
+    let out = folder.path().join("out");
+    let audit = ExportedFrames::Audit;
+    let error = export(&files, &out, ExportFormat::Coco, audit, |_| {}).unwrap_err().to_string();
+    assert!(error.contains("a.mcap is no MCAP file"), "{error}");
+    assert!(!error.contains("was read"), "{error}");
+}
+
+#[test]
 fn a_box_that_was_shown_without_an_object_keeps_its_class() {
     let folder = tempfile::tempdir().unwrap();
     let frame = LabelledFrame {

@@ -67,15 +67,25 @@ pub(super) struct ArchivedClip {
 /// What is in an archive.
 pub(super) struct ArchiveContent {
     pub clips: Vec<ArchivedClip>,
-    /// That the archive is cut short, in words, if it is.
+    /// That the archive is cut short or may be, in words.
     pub damage: Option<String>,
 }
 
 /// The folders of an archive.
 struct Folders {
     folders: Vec<Folder>,
-    /// True if the archive is cut short.
-    are_cut: bool,
+    end: ArchiveEnd,
+}
+
+/// How an archive ends.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum ArchiveEnd {
+    /// With the mark that no member follows.
+    Marked,
+    /// Behind a whole member: some programs write no mark.
+    Unmarked,
+    /// Within a member.
+    Cut,
 }
 
 /// A folder of an archive, with the pictures that lie in it itself.
@@ -93,9 +103,9 @@ const BLOCK: usize = 512;
 /// # Errors
 /// When the archive cannot be read or has no pictures.
 pub(super) fn archived_clips(path: &Path) -> Result<ArchiveContent, EvalError> {
-    let Folders { folders, are_cut } = folders_of(path)?;
+    let Folders { folders, end } = folders_of(path)?;
     if folders.is_empty() {
-        let what = if are_cut {
+        let what = if end == ArchiveEnd::Cut {
             "it is cut short, and no JPEG or PNG file in it is whole"
         } else {
             "it has no JPEG or PNG files"
@@ -103,10 +113,15 @@ pub(super) fn archived_clips(path: &Path) -> Result<ArchiveContent, EvalError> {
         return Err(EvalError::content(path, what));
     }
     let whole: usize = folders.iter().map(|folder| folder.pictures.len()).sum();
-    let damage = format!(
-        "{}: the archive is cut short: {whole} pictures are whole",
-        path.display()
-    );
+    let said = match end {
+        ArchiveEnd::Marked => None,
+        ArchiveEnd::Unmarked => Some(format!(
+            "the archive has no end mark: if it was cut short, it was behind these {whole} pictures"
+        )),
+        ArchiveEnd::Cut => Some(format!(
+            "the archive is cut short: {whole} pictures are whole"
+        )),
+    };
     let names = clip_names(&folders, &clip_name(path));
     let mut clips = Vec::new();
     for (name, folder) in names.into_iter().zip(folders) {
@@ -116,7 +131,7 @@ pub(super) fn archived_clips(path: &Path) -> Result<ArchiveContent, EvalError> {
     }
     Ok(ArchiveContent {
         clips,
-        damage: are_cut.then_some(damage),
+        damage: said.map(|said| format!("{}: {said}", path.display())),
     })
 }
 
@@ -146,20 +161,37 @@ fn folders_of(path: &Path) -> Result<Folders, EvalError> {
     };
     let file = File::open(path).map_err(unreadable)?;
     let file_length = file.metadata().map_err(unreadable)?.len();
-    let mut are_cut = lacks_end(&file, file_length).map_err(unreadable)?;
     let archive = Arc::new(Archive {
         path: path.to_path_buf(),
         file,
     });
+    let mut end = ArchiveEnd::Marked;
+    // Where the last member ends.
+    let mut members_end = 0;
     let mut folders: Vec<Folder> = Vec::new();
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let mut members = tar::Archive::new(&archive.file);
     for member in members.entries_with_seek().map_err(unreadable)? {
         let member = match member {
             Ok(member) => member,
-            Err(_) if are_cut && !folders.is_empty() => break,
-            Err(error) => return Err(unreadable(error)),
+            Err(error) => {
+                let is_at_end = lacks_end(&archive.file, file_length).map_err(unreadable)?;
+                if folders.is_empty() || !is_at_end {
+                    return Err(unreadable(error));
+                }
+                end = ArchiveEnd::Cut;
+                break;
+            }
         };
+        let offset = member.raw_file_position();
+        // One with holes is longer than what is stored of it.
+        if !member.header().entry_type().is_gnu_sparse() {
+            members_end = offset.saturating_add(member.size());
+        }
+        if members_end > file_length {
+            end = ArchiveEnd::Cut;
+            continue;
+        }
         let inside = member.path().map_err(unreadable)?;
         if !member.header().entry_type().is_file() || !is_picture_file(&inside) {
             continue;
@@ -169,23 +201,14 @@ fn folders_of(path: &Path) -> Result<Folders, EvalError> {
             let what = format!("{} is too large for a picture", inside.display());
             return Err(EvalError::content(path, what));
         }
-        let offset = member.raw_file_position();
-        if offset.saturating_add(member.size()) > file_length {
-            are_cut = true;
-            continue;
-        }
         let folder = inside.parent().unwrap_or(Path::new(""));
-        let place = match places.get(folder) {
-            Some(place) => *place,
-            None => {
-                places.insert(folder.to_owned(), folders.len());
-                folders.push(Folder {
-                    path: folder.to_owned(),
-                    pictures: Vec::new(),
-                });
-                folders.len() - 1
-            }
-        };
+        let place = *places.entry(folder.to_owned()).or_insert(folders.len());
+        if place == folders.len() {
+            folders.push(Folder {
+                path: folder.to_owned(),
+                pictures: Vec::new(),
+            });
+        }
         folders[place].pictures.push(ArchivedPicture {
             archive: Arc::clone(&archive),
             inside: inside.to_path_buf(),
@@ -193,7 +216,11 @@ fn folders_of(path: &Path) -> Result<Folders, EvalError> {
             length,
         });
     }
-    Ok(Folders { folders, are_cut })
+    let ends_with_file = || members_end.next_multiple_of(BLOCK as u64) >= file_length;
+    if end == ArchiveEnd::Marked && ends_with_file() {
+        end = ArchiveEnd::Unmarked;
+    }
+    Ok(Folders { folders, end })
 }
 
 /// Names the clips of an archive after its folders. Folders of one name in different places are told apart by the

@@ -1,7 +1,15 @@
 //! The rate of recorded frames by their capture times, of which some jump: at the loop of a replay, between two drives.
 
+use std::collections::VecDeque;
+
 /// An interval that is longer than this many usual ones is no interval between two frames: it is a pause.
 const LONGEST: u64 = 10;
+
+/// A time that is so many usual intervals before the last one is from another drive. One by fewer came late.
+const FURTHEST_BACK: u64 = 5;
+
+/// So many of the last intervals say which one is usual now.
+const RECENT: usize = 20;
 
 /// How recorded frames follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,14 +39,52 @@ impl Pace {
             jumps: times_ns.len() - 1 - usual.len(),
         })
     }
+}
 
-    /// True if there is no such interval between two frames of this pace, one recorded after the other.
-    pub(crate) fn is_jump(&self, earlier_ns: u64, later_ns: u64) -> bool {
-        let longest_ns = LONGEST as f64 * 1e9 / self.rate;
-        match later_ns.checked_sub(earlier_ns) {
-            Some(interval) => interval as f64 > longest_ns,
-            None => true,
+/// Finds the jumps in the times of frames that are read one after the other.
+#[derive(Clone, Debug)]
+pub(super) struct Jumps {
+    /// The mean interval, nanoseconds.
+    mean_ns: u64,
+    /// The last intervals since the last jump.
+    recent: VecDeque<u64>,
+    last_ns: Option<u64>,
+}
+
+impl Jumps {
+    /// Those of frames that follow each other at this pace.
+    pub(super) fn at(pace: Pace) -> Self {
+        Self {
+            mean_ns: (1e9 / pace.rate) as u64,
+            recent: VecDeque::new(),
+            last_ns: None,
         }
+    }
+
+    /// Notes the time of the next frame, and returns true if it jumps: far back, or ahead over a pause. Where the rate
+    /// falls, the times jump once and not with each frame.
+    pub(super) fn arrive(&mut self, time_ns: u64) -> bool {
+        let Some(before_ns) = self.last_ns.replace(time_ns) else {
+            return false;
+        };
+        let mut sorted: Vec<u64> = self.recent.iter().copied().collect();
+        sorted.sort_unstable();
+        let median_ns = sorted.get(sorted.len() / 2);
+        let usual_ns = self.mean_ns.max(median_ns.copied().unwrap_or(0));
+        let is_jump = match time_ns.checked_sub(before_ns) {
+            // Nothing tells a pause from the first interval of a lower rate.
+            Some(ahead_ns) => median_ns.is_some() && ahead_ns > usual_ns.saturating_mul(LONGEST),
+            None => before_ns - time_ns > usual_ns.saturating_mul(FURTHEST_BACK),
+        };
+        if is_jump {
+            self.recent.clear();
+        } else if time_ns > before_ns {
+            self.recent.push_back(time_ns - before_ns);
+            if self.recent.len() > RECENT {
+                self.recent.pop_front();
+            }
+        }
+        is_jump
     }
 }
 
@@ -81,14 +127,37 @@ mod tests {
         assert!((rate - 10.0).abs() < 2.5, "{rate}");
     }
 
+    /// The numbers of the frames at these milliseconds that jump, at 25 frames per second.
+    fn jumps(ms: impl IntoIterator<Item = u64>) -> Vec<usize> {
+        let mut jumps = Jumps::at(Pace {
+            rate: 25.0,
+            jumps: 0,
+        });
+        let mut found = Vec::new();
+        for (number, ms) in ms.into_iter().enumerate() {
+            if jumps.arrive(ms * 1_000_000) {
+                found.push(number);
+            }
+        }
+        found
+    }
+
     #[test]
-    fn a_jump_goes_back_or_ahead_over_a_pause() {
-        let pace = pace((0..30).map(|frame| 40 * frame)).unwrap();
-        let is_jump = |earlier_ms: u64, later_ms: u64| {
-            pace.is_jump(earlier_ms * 1_000_000, later_ms * 1_000_000)
-        };
-        assert!(!is_jump(1000, 1000) && !is_jump(1000, 1040) && !is_jump(1000, 1390));
-        assert!(is_jump(1000, 999) && is_jump(1000, 1500));
+    fn a_jump_goes_far_back_or_ahead_over_a_pause() {
+        assert_eq!(jumps([1000, 1040, 1040, 1430]), [0; 0]);
+        assert_eq!(jumps([1000, 1040, 1540, 1580, 1370, 1410]), [2, 4]);
+    }
+
+    #[test]
+    fn a_time_that_came_late_is_no_jump() {
+        assert_eq!(jumps([1000, 1040, 1080, 1039, 1160, 1200]), [0; 0]);
+    }
+
+    #[test]
+    fn times_jump_once_where_the_rate_falls() {
+        let fast = (0..60).map(|frame| frame * 40);
+        let slow = (1..20).map(|frame| 2360 + frame * 500);
+        assert_eq!(jumps(fast.chain(slow)), [60]);
     }
 
     #[test]

@@ -370,8 +370,18 @@ mod tests {
     fn an_archive_that_is_cut_short_plays_its_whole_pictures_and_says_how_many() {
         // tar keeps a member behind a header of 512 bytes, in blocks of as many.
         let member = 512 + (jpeg(8).len() as u64).next_multiple_of(512);
+        let cut = |whole: u64| format!("the archive is cut short: {whole} pictures are whole");
         // Within the second of three pictures, behind it, and within the head of the third.
-        for (length, whole) in [(member + 600, 1), (2 * member, 2), (2 * member + 100, 2)] {
+        for (length, whole, said) in [
+            (member + 600, 1, cut(1)),
+            (
+                2 * member,
+                2,
+                "the archive has no end mark: if it was cut short, it was behind these 2 pictures"
+                    .to_owned(),
+            ),
+            (2 * member + 100, 2, cut(2)),
+        ] {
             let torn = archive_of(&["busy/1.jpg", "busy/2.jpg", "night/1.jpg"]);
             torn.as_file().set_len(length).unwrap();
             let mut all = Pictures::of_archive(torn.path(), 5.0).unwrap();
@@ -379,10 +389,7 @@ mod tests {
                 assert!(all.next().unwrap().is_some(), "{length}");
             }
             assert!(all.next().unwrap().is_none(), "{length}");
-            let said = format!(
-                "{}: the archive is cut short: {whole} pictures are whole",
-                torn.path().display()
-            );
+            let said = format!("{}: {said}", torn.path().display());
             assert_eq!(all.remarks(), std::slice::from_ref(&said), "{length}");
             let of_last = all.into_clips().pop().unwrap().remarks();
             assert_eq!(of_last, [said], "{length}");
@@ -397,6 +404,20 @@ mod tests {
             fault(&whole),
             ": it is cut short, and no JPEG or PNG file in it is whole"
         );
+    }
+
+    #[test]
+    fn a_whole_archive_is_whole_whatever_lies_behind_its_end() {
+        let file = archive_of(&["busy/1.jpg", "busy/2.jpg"]);
+        let mut bytes = std::fs::read(file.path()).unwrap();
+        bytes.push(b'\n');
+        std::fs::write(file.path(), bytes).unwrap();
+        let mut all = Pictures::of_archive(file.path(), 5.0).unwrap();
+        assert_eq!(all.remarks(), [""; 0]);
+        for _ in 0..2 {
+            assert!(all.next().unwrap().is_some());
+        }
+        assert!(all.next().unwrap().is_none());
     }
 
     #[test]

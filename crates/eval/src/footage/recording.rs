@@ -1,6 +1,6 @@
 //! Reads the pictures of an MCAP file: a recording of a node, of Foxglove, or of ROS 2.
 
-use super::pace::Pace;
+use super::pace::{Jumps, Pace};
 use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name, plain_name};
 use crate::error::EvalError;
@@ -28,12 +28,12 @@ pub(super) struct Recording {
     rate: f64,
     /// How the pictures follow each other by their times, if they have some.
     pace: Option<Pace>,
+    /// Where the times of this pass jump, if they follow each other somehow.
+    times: Option<Jumps>,
     frames: u64,
     messages: Messages,
     /// The number of the last picture, from 1.
     number: u64,
-    /// When the last picture was recorded.
-    last_ns: Option<u64>,
     /// How often the times of this pass have jumped.
     jumps: u64,
     /// The clip that began at the last jump.
@@ -192,10 +192,10 @@ impl Recording {
             name: name_of_topic(path, found, &contents),
             rate,
             pace,
+            times: pace.map(Jumps::at),
             frames,
             topic: found.name.clone(),
             number: 0,
-            last_ns: None,
             jumps: 0,
             clip: None,
             is_cut: overview.damage.is_some(),
@@ -222,7 +222,7 @@ impl Recording {
         }
     }
 
-    /// The file, the topic and the number of the last picture.
+    /// The file, the topic and the number of the last picture, if there was one.
     fn last_name(&self) -> String {
         let Self {
             path,
@@ -230,15 +230,16 @@ impl Recording {
             number,
             ..
         } = self;
-        format!("{}:{topic}, picture {number}", path.display())
+        match number {
+            0 => format!("{}:{topic}", path.display()),
+            _ => format!("{}:{topic}, picture {number}", path.display()),
+        }
     }
 
     /// Notes when the next picture was recorded. A clip begins with it if the times jump.
     fn arrive(&mut self, time_ns: u64) {
-        let before_ns = self.last_ns.replace(time_ns);
-        if let Some(pace) = self.pace
-            && let Some(before_ns) = before_ns
-            && pace.is_jump(before_ns, time_ns)
+        if let Some(times) = &mut self.times
+            && times.arrive(time_ns)
         {
             self.jumps += 1;
             self.clip = Some(format!("{}-{}", self.name, self.jumps + 1));
@@ -332,8 +333,10 @@ impl FrameSource for Recording {
         self.is_over = true;
         match self.messages.damage() {
             Some(damage) if !self.is_cut => {
-                let what = format!("the file is damaged, and nothing is read after this: {damage}");
-                Err(EvalError::content(&self.path, what))
+                let name = self.last_name();
+                Err(EvalError::new(format!(
+                    "{name}: the file is damaged, and nothing is read after this: {damage}"
+                )))
             }
             _ => Ok(None),
         }
@@ -342,7 +345,7 @@ impl FrameSource for Recording {
     fn rewind(&mut self) -> Result<(), EvalError> {
         self.messages = opened(&self.path)?;
         self.number = 0;
-        self.last_ns = None;
+        self.times = self.pace.map(Jumps::at);
         self.jumps = 0;
         self.clip = None;
         self.is_over = false;

@@ -1,5 +1,6 @@
 //! Reads the frames of a video file, which the `ffmpeg` program decodes.
 
+use super::riff::missing_of_riff;
 use super::source::{FrameSource, Stopper, clip_name};
 use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
@@ -232,7 +233,8 @@ impl Video {
     /// What is missing of a file that was read to its end, of which ffmpeg `said` something or nothing.
     fn missing(&self, said: &str) -> Option<String> {
         let has_all = self.may_leave_out || self.frames.is_none_or(|all| self.passed >= all);
-        if said.is_empty() && has_all {
+        let cut = missing_of_riff(Path::new(&self.file));
+        if said.is_empty() && has_all && cut.is_none() {
             return None;
         }
         let mut what = match self.frames {
@@ -241,6 +243,9 @@ impl Video {
         };
         if let Err(reason) = check_is_whole(Path::new(&self.file)) {
             what += &format!("; {reason}");
+        }
+        if let Some(cut) = cut {
+            what += &format!("; {cut}");
         }
         if !said.is_empty() {
             let lines: Vec<&str> = said.split("; ").take(TOLD_LINES).collect();
@@ -299,10 +304,16 @@ fn probe(
     Ok(Properties {
         rate,
         frames: stream.nb_frames.as_ref().and_then(|text| text.parse().ok()),
-        // Its edit list says which ones, as when it was cut without encoding it again.
-        may_leave_out: probed.format.format_name.starts_with("mov,"),
+        may_leave_out: may_leave_out(&probed.format.format_name),
         is_uneven: finest.is_some_and(|finest| are_uneven(rate, finest)),
     })
+}
+
+/// True if a file of this format may leave out frames that it counts: the edit list of an MP4 file says which ones, as
+/// when it was cut without encoding it again, and an AVI file has an empty piece in the place of a frame that was
+/// dropped.
+fn may_leave_out(format: &str) -> bool {
+    format.starts_with("mov,") || format == "avi"
 }
 
 /// True if some frames of this mean rate follow each other much faster.
@@ -333,7 +344,17 @@ fn read_errors(mut errors: ChildStderr) -> String {
     // An error message is not worth an error of its own.
     let _ = errors.by_ref().take(MAX_ERROR_OUTPUT_BYTES).read_to_end(&mut text);
     let _ = std::io::copy(&mut errors, &mut std::io::sink());
-    String::from_utf8_lossy(&text).trim().replace('\n', "; ")
+    without_addresses(&String::from_utf8_lossy(&text).trim().replace('\n', "; "))
+}
+
+/// What ffmpeg said without the addresses of its parts, which differ each time: `[h264 @ 0x55e1a8fa07c0]`.
+fn without_addresses(said: &str) -> String {
+    let mut parts = said.split(" @ 0x");
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        plain += part.trim_start_matches(|c: char| c.is_ascii_hexdigit());
+    }
+    plain
 }
 
 impl FrameSource for Video {
@@ -473,5 +494,13 @@ mod tests {
             .to_string();
         assert!(text.contains("albireo publish"), "{text}");
         assert!(!text.contains("hidden"), "{text}");
+    }
+
+    #[test]
+    fn ffmpeg_says_the_same_of_a_file_each_time() {
+        let said = "[h264 @ 0x55e1a8fa07c0] no frame!; [mov @ 0x7f] partial file";
+        let plain = "[h264] no frame!; [mov] partial file";
+        assert_eq!(without_addresses(said), plain);
+        assert_eq!(without_addresses(plain), plain);
     }
 }

@@ -188,6 +188,7 @@ def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Restore]:
             f"an array of detections has the shape {rows.shape}; it must be (N, 6): x1, y1, x2, y2, confidence, class"
         )
     xyxy, dtype = _boxes(rows[:, :4])
+    dtype = _with_ids(dtype)
     arrays = xyxy, _column(rows[:, 4], "confidence"), _column(rows[:, 5], "class")
 
     def restore(boxes: Boxes, _picture: Picture | None) -> NDArray[Any]:
@@ -231,11 +232,13 @@ def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Resto
     xyxy, dtype = _boxes(found.xyxy)
     arrays = xyxy, _column(found.conf, "boxes.conf"), _column(found.cls, "boxes.cls")
     blank = result.new()
-    # A tensor on the device of the result, where it is one.
-    make = getattr(found.data, "new_tensor", None)
+    row_type = _with_ids(dtype)
+    # A tensor on the device of the result, where it is one; a new tensor has the type of the one that makes it.
+    data = found.data.float() if row_type != dtype and hasattr(found.data, "float") else found.data
+    make = getattr(data, "new_tensor", None)
 
     def restore(boxes: Boxes, picture: Picture | None) -> Any:
-        rows = np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
+        rows = np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(row_type)
         shown = blank.new()
         if picture is not None:
             shown.orig_img = picture.bgr()
@@ -271,6 +274,11 @@ def _boxes(value: Any) -> tuple[NDArray[np.float64], np.dtype[Any]]:
     return np.array(array, dtype=np.float64, order="C"), dtype
 
 
+def _with_ids(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The type of rows that have an id among their numbers: in half precision, ids above 2048 would become equal."""
+    return np.result_type(dtype, np.float32)
+
+
 def _column(value: Any, what: str) -> NDArray[np.float64]:
     array = _numbers(value, what)
     if array.size == 0:
@@ -278,6 +286,23 @@ def _column(value: Any, what: str) -> NDArray[np.float64]:
     if array.ndim != 1:
         raise ValueError(f"{what} has the shape {array.shape}; it must be (N,)")
     return np.array(array, dtype=np.float64)
+
+
+def real_boxes(xyxy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Those that are boxes: detectors fill up a result of fixed length, with zeros for example."""
+    xyxy = xyxy[np.isfinite(xyxy).all(axis=1)]
+    return xyxy[(xyxy[:, :2] < xyxy[:, 2:]).all(axis=1)]
+
+
+def doubt(xyxy: NDArray[np.float64], size: tuple[int, int]) -> str | None:
+    """Why these boxes, of which there is one at least, are hardly in pixels of a picture of this size."""
+    width, height = size
+    left, top, right, bottom = xyxy.T
+    if not ((right > 0) & (bottom > 0) & (left < width) & (top < height)).any():
+        return f"all boxes lie outside the picture of {width}x{height} pixels: give pixels, and size as (width, height)"
+    if xyxy.max() <= 1:
+        return "no box reaches beyond the first pixel; these look like shares of the picture: give pixels"
+    return None
 
 
 def named(arrays: _core._Arrays) -> Boxes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from operator import index
 from typing import TYPE_CHECKING, Any, Generic, overload
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from . import _core
 from .results import (
-    Restore, Boxes, ColorOrder, Columns, Foreign, Image, Picture, Result, as_boxes, checked_order, named, read
+    Restore, Boxes, ColorOrder, Columns, Foreign, Image, Picture, Result, as_boxes, checked_order, doubt, named, read,
+    real_boxes
 )
 
 if TYPE_CHECKING:
@@ -137,6 +139,8 @@ class Skipper(Generic[Shown]):
         self._restore: Restore = as_boxes
         self._log: list[tuple[Any, ...]] | None = [] if resumable else None
         self._looked = False
+        # Whether the first boxes were looked at: a detector that gives no pixels shows it with these.
+        self._judged = False
         self._states: Counter[str] = Counter()
         self._causes: Counter[str] = Counter()
         self._failed = 0
@@ -202,6 +206,7 @@ class Skipper(Generic[Shown]):
             arrays, restore = read(result, self._size, self._names)
             boxes = named(self._core.deliver(n, arrays))
             self._restore = restore
+            self._judge(arrays[0])
         # It was counted as predicted when it was answered.
         state, cause, _ = self._core.delivered
         self._states["P"] -= 1
@@ -240,12 +245,14 @@ class Skipper(Generic[Shown]):
     def update(self, result: Result) -> Any:
         """Takes the detector's result for this frame, and returns the boxes to show, as the same type.
 
-        Invalid detections (not finite, sides of zero or less, invalid confidence) are dropped and counted.
+        Invalid detections (not finite, sides of zero or less, invalid confidence) are dropped and counted. If the first
+        boxes are hardly in pixels (shares of the picture, or all outside it), a warning says so.
         """
         arrays, restore = read(result, self._size, self._names)
         boxes = named(self._core.update(*arrays))
         self._restore = restore
         self._called(("update", *arrays))
+        self._judge(arrays[0])
         return restore(boxes, None)
 
     def unavailable(self, image: Image | None = None, *, color_order: ColorOrder = "bgr") -> Shown:
@@ -384,6 +391,18 @@ class Skipper(Generic[Shown]):
         picture = None if image is None else Picture(image, checked_order(color_order))
         shown: Shown = self._restore(boxes, picture)
         return shown
+
+    def _judge(self, xyxy: NDArray[np.float64]) -> None:
+        """Warns if the first boxes are hardly in pixels of the picture."""
+        if self._judged:
+            return
+        boxes = real_boxes(xyxy)
+        if len(boxes) == 0:
+            return
+        self._judged = True
+        reason = doubt(boxes, self._size)
+        if reason is not None:
+            warnings.warn(reason, stacklevel=3)
 
     def _called(self, event: tuple[Any, ...]) -> None:
         """Counts a frame for which the detector was called."""

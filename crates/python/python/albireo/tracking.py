@@ -124,6 +124,8 @@ def track(
         source = video if isinstance(video, int) else fspath(video)
         capture, total = _open(source)
         pictures = _frames(capture, source, total, color_order)
+    elif isinstance(video, np.ndarray) and video.ndim == 3 and video.shape[2] in (3, 4) and min(video.shape[:2]) > 4:
+        raise ValueError(f"video is an array of shape {video.shape}: this is one picture: give [picture]")
     elif isinstance(video, Iterable):
         pictures = video
         total = len(video) if isinstance(video, Sized) else None

@@ -192,6 +192,21 @@ fn what_is_left_out_for_one_reason_is_named_at_first_and_then_counted() {
     assert!(matches!(other, Some(ReadItem::LeftOut(Some(_)))));
 }
 
+#[test]
+fn a_remark_is_told_once_and_only_a_few_are() {
+    let mut told = Told::default();
+    let mut remarks = Vec::new();
+    for number in 0..100 {
+        let said = format!("a.mp4: {} of 30 frames could be read", number / 2);
+        if let Some(ReadItem::Remark(remark)) = told.remark(said) {
+            remarks.push(remark);
+        }
+    }
+    assert_eq!(remarks.len() as u64, NAMED);
+    assert!(remarks[0].starts_with("a.mp4: 0 of 30"), "{remarks:?}");
+    assert!(remarks[4].ends_with("are not told)"), "{remarks:?}");
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_broken_picture_is_counted_once_however_often_the_folder_is_played() {
     let folder = tempfile::tempdir().unwrap();

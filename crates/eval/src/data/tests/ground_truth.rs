@@ -440,7 +440,11 @@ fn labels_of_which_some_are_for_no_picture_of_the_clip_are_refused() {
         ),
         (
             ["frame_1.jpg", "frame_1.png"],
-            "for the picture v/frame_1.png twice",
+            "for other pictures, too: the clip has no v/frame_1.png",
+        ),
+        (
+            ["frame_1.jpg", "frame_1.jpg"],
+            "for the picture v/frame_1.jpg twice",
         ),
     ] {
         let files = coco_of(&names);
@@ -460,6 +464,125 @@ fn labels_that_name_no_picture_of_the_clip_are_in_the_order_of_their_names() {
         assert_eq!(frames_with_boxes(&clip), [2]);
         assert_eq!(clip.unlabelled(), 0);
     }
+}
+
+/// Labels in the Scalabel form: a car on each frame of the video `drive` with this name and number.
+fn named_labels_of_drive(frames: &[(&str, usize)]) -> TempDir {
+    let frame = |(name, index): &(&str, usize)| {
+        format!(
+            r#"{{"name": "{name}", "videoName": "drive", "frameIndex": {index}, "labels": [
+            {{"category": "car", "box2d": {{"x1": 1, "y1": 2, "x2": 30, "y2": 40}}}}]}}"#
+        )
+    };
+    let frames: Vec<String> = frames.iter().map(frame).collect();
+    folder(&[("drive.json", &format!("[{}]", frames.join(",")))])
+}
+
+/// The clip `drive` of these files with these labels.
+fn drive_of(labels: &TempDir, files: &[String]) -> Result<Clip, EvalError> {
+    let mut truth = for_model(labels, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+    attached_to_files(&mut truth, "drive", files)
+}
+
+#[test]
+fn labels_of_all_frames_of_a_shorter_video_are_refused_although_pictures_have_their_names() {
+    let labels = named_labels_of_drive(&[("frame_1.jpg", 0), ("frame_2.jpg", 1)]);
+    let refused = drive_of(&labels, &ten_files()).unwrap_err().to_string();
+    assert!(refused.contains("2 frames, the clip has 10"), "{refused}");
+    let coco = coco_of(&["frame_1.jpg", "frame_2.jpg"]);
+    let refused = attached_to_files(&mut cars_of(&coco), "v", &ten_files()).unwrap_err();
+    assert!(refused.to_string().contains("no frame_id"), "{refused}");
+}
+
+/// [`coco_of`] `frame_1.jpg` and on, with these numbers.
+fn numbered_coco(numbers: &[usize]) -> TempDir {
+    let image = |(number, frame): (usize, &usize)| {
+        format!(
+            r#"{{"id": {number}, "file_name": "v/frame_{number}.jpg", "frame_id": {frame}, "width": 640, "height": 360}}"#
+        )
+    };
+    let images: Vec<String> = (1..).zip(numbers).map(image).collect();
+    let set = format!(
+        r#"{{"images": [{}], "categories": [{{"id": 3, "name": "car"}}],
+        "annotations": [{{"image_id": 2, "category_id": 3, "bbox": [1, 2, 10, 20]}}]}}"#,
+        images.join(", ")
+    );
+    folder(&[("set.json", &set)])
+}
+
+#[test]
+fn names_and_numbers_of_labels_that_contradict_each_other_are_refused_with_both() {
+    let coco = numbered_coco(&[0, 5]);
+    let refused = attached_to_files(&mut cars_of(&coco), "v", &ten_files()).unwrap_err();
+    let said = "for the picture frame_2.jpg by a name, and for picture 6 of the clip by the number";
+    assert!(refused.to_string().contains(said), "{refused}");
+    let scalabel = named_labels_of_drive(&[("frame_1.jpg", 0), ("frame_2.jpg", 5)]);
+    let refused = drive_of(&scalabel, &ten_files()).unwrap_err().to_string();
+    assert!(refused.contains(said), "{refused}");
+}
+
+#[test]
+fn numbers_that_agree_with_the_names_of_pictures_or_only_count_the_labels_are_no_contradiction() {
+    let agreeing = numbered_coco(&[0, 1]);
+    let clip = attached_to_files(&mut cars_of(&agreeing), "v", &ten_files()).unwrap();
+    assert_eq!(labelled_frames(&clip), [0, 1]);
+    // Of the pictures frame_3 and frame_9.
+    let counting = named_labels_of_drive(&[("frame_3.jpg", 0), ("frame_9.jpg", 1)]);
+    let clip = drive_of(&counting, &ten_files()).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [2, 8]);
+    // Of a video of which only every second picture is kept.
+    let kept: Vec<String> = ten_files().into_iter().step_by(2).collect();
+    let labels = named_labels_of_drive(&[("frame_3.jpg", 2), ("frame_9.jpg", 8)]);
+    assert_eq!(
+        frames_with_boxes(&drive_of(&labels, &kept).unwrap()),
+        [1, 4]
+    );
+    // The numbers of a longer video, of which these are all pictures.
+    let files = ten_files();
+    let clip = attached_to_files(&mut cars_of(&numbered_coco(&[0, 5])), "v", &files[..2]).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [1]);
+}
+
+#[test]
+fn labels_whose_names_count_from_another_number_are_in_their_order_which_is_told() {
+    let complete = named_labels_of_drive(&[("f_0.jpg", 0), ("f_1.jpg", 1), ("f_2.jpg", 2)]);
+    let some = named_labels_of_drive(&[("f_0.jpg", 0), ("f_2.jpg", 2)]);
+    let files = ["f_1.jpg", "f_2.jpg", "f_3.jpg"].map(str::to_owned);
+    for (labels, expected) in [(complete, vec![0, 1, 2]), (some, vec![0, 2])] {
+        let mut truth = for_model(&labels, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+        let mut clip = Clip::new("drive".to_owned(), PictureSize::new(640, 360), 3);
+        clip.file_names = files.to_vec();
+        let mut report = LoadReport::default();
+        truth.attach_to(&mut clip, false, Some(3), &mut report).unwrap();
+        assert_eq!(frames_with_boxes(&clip), expected);
+        let said = report.lines().join("\n");
+        assert!(said.contains("drive: its ground truth counts"), "{said}");
+    }
+}
+
+#[test]
+fn files_of_imagenet_vid_from_zero_are_for_pictures_from_one_in_their_order() {
+    let cat = imagenet_vid(&[("n02121808", 10)]);
+    let files = folder(&[("val/a/0000.xml", &cat), ("val/a/0001.xml", &cat)]);
+    let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &["cat"]).unwrap();
+    let pictures = ["0001.jpg", "0002.jpg"].map(str::to_owned);
+    let clip = attached_to_files(&mut truth, "a", &pictures).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [0, 1]);
+}
+
+#[test]
+fn names_that_are_told_apart_only_by_their_endings_are_compared_with_them() {
+    let files = ["1.jpg", "1.png", "2.jpg", "2.png"].map(str::to_owned);
+    let labels = named_labels_of_drive(&[("1.png", 0), ("2.png", 1)]);
+    let clip = drive_of(&labels, &files).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [1, 3]);
+}
+
+#[test]
+fn labels_of_several_folders_are_in_their_order() {
+    let labels = named_labels_of_drive(&[("a/frame_1.jpg", 0), ("b/frame_1.jpg", 1)]);
+    let clip = drive_of(&labels, &ten_files()[..2]).unwrap();
+    assert_eq!(frames_with_boxes(&clip), [0, 1]);
 }
 
 /// The error of ground truth that cannot judge a model of cars.

@@ -146,18 +146,35 @@ fn a_name_of_a_class_without_its_number_is_refused() {
     let files = folder(&[
         ("seqinfo.ini", SEQINFO),
         ("gt/gt.txt", ""),
-        ("classes.txt", "car\n"),
+        ("classes.txt", "2 bus\ncar\n"),
     ]);
-    let parts = ["classes.txt:1: `car` is no number and name"];
+    let parts = ["classes.txt:2: `car` is no number and name"];
     assert_refused(mot_challenge::read(files.path()), &parts);
 }
 
 #[test]
-fn a_whole_number_in_the_eighth_of_ten_columns_is_a_class_and_a_place_in_the_world_is_none() {
+fn names_of_classes_without_any_number_are_another_programs_and_count_for_nothing() {
+    let found = mot_classes("1,1,11,21,10,20,1,1,1\n", &[("classes.txt", "car\nbus\n")]);
+    assert_eq!(found, (vec![0], Vec::new()));
+}
+
+#[test]
+fn the_eighth_of_ten_columns_is_a_class_if_it_can_be_one_in_every_row_and_else_a_place() {
     let row = |eighth: &str| format!("1,1,11,21,10,20,1,{eighth},1,0\n");
-    let rows: String = ["3", "-1", "3.5", "7.0", "-2.25"].map(row).concat();
-    let found = mot_classes(&rows, &[]);
-    assert_eq!(found, (vec![2, 0, 0, 0, 0], Vec::new()));
+    for (eighths, classes) in [
+        (["3", "-1"], [2, 0]),
+        // Some places are whole numbers, and some files have 0 for all.
+        (["7", "3.5"], [0, 0]),
+        (["3", "-2"], [0, 0]),
+        (["0", "0"], [0, 0]),
+    ] {
+        let rows: String = eighths.map(row).concat();
+        assert_eq!(
+            mot_classes(&rows, &[]),
+            (classes.to_vec(), Vec::new()),
+            "{rows}"
+        );
+    }
 }
 
 #[test]
@@ -314,9 +331,10 @@ fn a_list_of_something_else_than_frames_is_refused() {
             "entry 1 has neither",
         ),
         (
-            r#"[{"name": "1.jpg", "frames": [{"objects": []}]}]"#,
-            "no frame has `labels`",
+            r#"[{"name": "1.jpg", "frameIndex": 0, "frames": [{"objects": []}]}]"#,
+            "entry 0 has `frames` or `objects`",
         ),
+        (r#"[{"name": "cat"}]"#, "no frame has `labels`"),
     ];
     for (text, said) in other_lists {
         let read = bdd100k(Some(text), NO_PREDICTIONS, Rules::Benchmark);
@@ -353,6 +371,29 @@ fn frames_of_bdd100k_without_an_index_are_in_the_order_of_their_names_in_each_vi
     let boxes = |clip: &Clip| clip.truth.iter().flatten().map(Vec::len).collect::<Vec<_>>();
     let of_clips: Vec<_> = data.clips.iter().map(boxes).collect();
     assert_eq!(of_clips, [[0, 1], [0, 1]]);
+}
+
+#[test]
+fn names_that_differ_in_more_than_numbers_leave_the_frames_of_a_list_in_its_order() {
+    let frame = |name: &str, labels: &str| {
+        format!(r#"{{"name": "{name}", "videoName": "a", "labels": [{labels}]}}"#)
+    };
+    let car = r#"{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}"#;
+    for names in [["f3b.jpg", "a07c.jpg"], ["b/1.jpg", "a/1.jpg"]] {
+        let text = format!("[{}, {}]", frame(names[0], car), frame(names[1], ""));
+        let data = bdd100k(Some(&text), NO_PREDICTIONS, Rules::Benchmark).unwrap();
+        let truth = data.clips[0].truth.as_ref().unwrap();
+        assert_eq!(truth[0].len(), 1, "{names:?}");
+    }
+}
+
+#[test]
+fn a_video_whose_frames_lack_the_key_of_labels_has_no_objects() {
+    let text = r#"[{"name": "1.jpg", "videoName": "a", "frameIndex": 0},
+        {"name": "2.jpg", "videoName": "a", "frameIndex": 1}]"#;
+    let data = bdd100k(Some(text), NO_PREDICTIONS, Rules::Benchmark).unwrap();
+    assert_eq!(data.clips[0].frames, 2);
+    assert_eq!(data.clips[0].truth_boxes(), 0);
 }
 
 #[test]
@@ -413,6 +454,15 @@ const COCO_SET: &str = r#"{"images": [
     {"id": 6, "image_id": 5, "category_id": 9, "bbox": [1, 2, 10, 20], "iscrowd": 1},
     {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
     {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
+
+#[test]
+fn annotations_of_coco_may_share_an_id_if_they_are_others() {
+    let set = COCO_SET.replace(r#""id": 1, "image_id": 5"#, r#""id": 3, "image_id": 5"#);
+    let files = folder(&[("set.json", &set)]);
+    let no_results = None;
+    let data = coco::read(&files.path().join("set.json"), no_results).unwrap();
+    assert_eq!(data.clips[0].truth_boxes(), 1);
+}
 
 /// A result on one of these pictures.
 const COCO_RESULTS: &str =
@@ -476,9 +526,9 @@ fn an_id_that_belongs_to_two_entries_of_coco_is_refused_with_both() {
             "the id 3 belongs to two categories: car and boat",
         ),
         (
-            r#""id": 6, "image_id""#,
-            r#""id": 2, "image_id""#,
-            "the id 2 belongs to two annotations: 1 and 3",
+            r#""id": 5, "image_id": 5"#,
+            r#""id": 2, "image_id": 5"#,
+            "the annotation 2 is listed twice, on the image 5",
         ),
     ] {
         let set = COCO_SET.replace(own, other);
