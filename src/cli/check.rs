@@ -56,13 +56,8 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let mut tried = Ok(());
     if let Some(config) = &config {
         if !arguments.file_only {
-            let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
             let here = config.here();
-            for finding in here.missing {
-                if !known.contains(&finding.key) {
-                    findings.push(finding);
-                }
-            }
+            add_missing(&mut findings, here.missing);
             detector = here.detector;
         }
         // Also if something is missing: what else does not work is better known at once.
@@ -115,6 +110,16 @@ fn is_for_a_hub(file: &std::path::Path) -> bool {
         .any(|name| matches!(name.trim(), "hub" | "database"))
 }
 
+/// Adds what is missing on this machine, but for keys that have an error already.
+fn add_missing(findings: &mut Vec<Finding>, missing: Vec<Finding>) {
+    let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
+    for finding in missing {
+        if !known.contains(&finding.key) {
+            findings.push(finding);
+        }
+    }
+}
+
 #[cfg(feature = "hub")]
 fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
     if arguments.online {
@@ -126,12 +131,7 @@ fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
     {
         let mut here = Findings(config.here());
         here.check("database.url", check_here(&config.database));
-        let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        for finding in here.0 {
-            if !known.contains(&finding.key) {
-                findings.push(finding);
-            }
-        }
+        add_missing(&mut findings, here.0);
     }
     let file = arguments.file.display().to_string();
     let config = match config {

@@ -281,16 +281,8 @@ fn own_truth(
         if objects.len() >= frames {
             break;
         }
-        let pictures = part.frames().unwrap_or_default();
-        let mut clip = with_truth(
-            &mut truth,
-            part.name(),
-            picture,
-            pictures,
-            part.file_names(),
-            is_alone,
-            &mut LoadReport::default(),
-        )?;
+        let mut report = LoadReport::default();
+        let mut clip = with_truth(&mut truth, &*part, picture, is_alone, &mut report)?;
         clip.ignored.resize(clip.frames, Vec::new());
         objects.extend(clip.truth.unwrap_or_else(|| vec![Vec::new(); clip.frames]));
         ignored.extend(clip.ignored);

@@ -447,23 +447,21 @@ pub(super) fn check_pace(frames: u64, rate: f64, way_out: &str) -> anyhow::Resul
     Ok(())
 }
 
-/// A clip without detections, with its whole ground truth; `file_names` as of a [`FrameSource`], `is_alone` and `report` as
-/// for [`GroundTruth::attach_to`].
+/// The clip of `source`, without detections and with its whole ground truth; `is_alone` and `report` as for
+/// [`GroundTruth::attach_to`].
 ///
 /// # Errors
 /// When the ground truth is for other pictures.
 pub(super) fn with_truth(
     truth: &mut GroundTruth,
-    name: &str,
+    source: &dyn FrameSource,
     size: PictureSize,
-    frames: u64,
-    file_names: Vec<String>,
     is_alone: bool,
     report: &mut LoadReport,
 ) -> anyhow::Result<Clip> {
-    let frames = usize::try_from(frames)?;
-    let mut clip = Clip::new(name.to_owned(), size, frames);
-    clip.file_names = file_names;
+    let frames = usize::try_from(source.frames().unwrap_or_default())?;
+    let mut clip = Clip::new(source.name().to_owned(), size, frames);
+    clip.file_names = source.file_names();
     truth.attach_to(&mut clip, is_alone, Some(frames), report)?;
     Ok(clip)
 }

@@ -471,11 +471,6 @@ impl DataSet {
     }
 }
 
-fn has_extension(path: &Path, wanted: &[&str]) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str());
-    extension.is_some_and(|extension| wanted.iter().any(|one| extension.eq_ignore_ascii_case(one)))
-}
-
 /// Lists the JPEG and PNG files of a folder in order; none if the folder does not exist.
 fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     if folder.is_dir() {

@@ -4,7 +4,7 @@ use crate::error::EvalError;
 use serde::Serialize;
 use std::error::Error;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// The first bytes of a file that gzip has compressed.
@@ -17,11 +17,10 @@ const UTF16: [[u8; 2]; 2] = [[0xff, 0xfe], [0xfe, 0xff]];
 
 /// Reads the text of a file, without the mark of the byte order; `help` says what to do if it is missing.
 pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
-    let mut bytes = std::fs::read(path).map_err(|error| EvalError::read(path, error, help))?;
-    check_is_text(path, &bytes)?;
-    if bytes.starts_with(UTF8) {
-        bytes.drain(..UTF8.len());
-    }
+    let mut bytes = Vec::new();
+    open_text(path, help)?
+        .read_to_end(&mut bytes)
+        .map_err(|error| EvalError::read(path, error, help))?;
     String::from_utf8(bytes)
         .map_err(|error| EvalError::content(path, format!("it is not text in UTF-8: {error}")))
 }
@@ -48,6 +47,12 @@ fn check_is_text(path: &Path, begins: &[u8]) -> Result<(), EvalError> {
         return Ok(());
     };
     Err(EvalError::content(path, what))
+}
+
+/// True if the name of a file ends with one of these, in capitals or not.
+pub(crate) fn has_extension(path: &Path, wanted: &[&str]) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|extension| wanted.iter().any(|one| extension.eq_ignore_ascii_case(one)))
 }
 
 /// Lists the paths in a folder for which `wanted` is true, sorted; what cannot be listed is left out.

@@ -36,14 +36,18 @@ pub(crate) fn create_directory(directory: &Path) -> Result<()> {
     fs::create_dir_all(directory).map_err(|error| not_created(directory, &error))
 }
 
-/// The error of a folder that cannot be created, with its name.
-pub(crate) fn not_created(folder: &Path, error: &Error) -> Error {
-    let shown = folder.display();
-    // The system calls it a file that exists.
-    let reason = if folder.is_symlink() && !folder.exists() {
+/// Why a folder cannot be created or used: the system calls a link to nowhere a file that exists.
+pub(crate) fn reason(folder: &Path, error: &Error) -> String {
+    if folder.is_symlink() && !folder.exists() {
         "it is a link to a place that is not there".to_owned()
     } else {
         error.to_string()
-    };
+    }
+}
+
+/// The error of a folder that cannot be created, with its name.
+pub(crate) fn not_created(folder: &Path, error: &Error) -> Error {
+    let shown = folder.display();
+    let reason = reason(folder, error);
     Error::new(error.kind(), format!("{shown} cannot be created: {reason}"))
 }

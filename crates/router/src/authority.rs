@@ -103,11 +103,11 @@ impl Authority {
             ));
         }
         let list = List::open(folder)?;
-        let name = subject(&file)?;
+        let (name, public_key) = subject_and_key(&file)?;
         let key_file = folder.join(AUTHORITY_KEY);
         let key = KeyPair::from_pem(&read(&key_file)?).map_err(at(&key_file))?;
         // Whoever trusts the certificate would refuse all that this key signs.
-        if public_key(&file)? != key.public_key_raw() {
+        if public_key != key.public_key_raw() {
             let reason = "the certificate belongs to another key than that in authority.key: restore both from one backup";
             return Err(about(&file, reason));
         }
@@ -301,22 +301,21 @@ fn write_atomically(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
 /// # Errors
 /// [`RouterError`] if the file has no certificate with a common name.
 pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
+    let (name, _) = subject_and_key(file)?;
+    Ok(name)
+}
+
+/// Returns the common name and the public key of the certificate in a file.
+fn subject_and_key(file: &Path) -> Result<(String, Vec<u8>), RouterError> {
     let text = read(file)?;
     let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
     let certificate = pem.parse_x509().map_err(at(file))?;
     let name = certificate.subject().iter_common_name().find_map(|name| name.as_str().ok());
-    match name {
-        Some(name) => Ok(name.to_owned()),
-        None => Err(about(file, "the certificate has no common name")),
-    }
-}
-
-/// Returns the public key in the certificate in a file.
-fn public_key(file: &Path) -> Result<Vec<u8>, RouterError> {
-    let text = read(file)?;
-    let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
-    let certificate = pem.parse_x509().map_err(at(file))?;
-    Ok(certificate.public_key().subject_public_key.data.to_vec())
+    let Some(name) = name else {
+        return Err(about(file, "the certificate has no common name"));
+    };
+    let key = certificate.public_key().subject_public_key.data.to_vec();
+    Ok((name.to_owned(), key))
 }
 
 /// Sets the validity: from [`VALID_BEFORE_S`] ago until `lasts` from now. Returns its end in seconds since the Unix epoch.

@@ -14,6 +14,6 @@ pub use auth::{Caller, read_token};
 pub use caller::*;
 pub use index::{Route, routes};
 pub use page::with_page;
-pub use problem::{Problem, describe, response, within};
+pub use problem::{Problem, check_event_types, describe, response, within};
 pub use query::refuse_unread_queries;
 pub use serve::run;

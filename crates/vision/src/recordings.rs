@@ -10,7 +10,7 @@ use glob::MatchOptions;
 pub use kind::FileKind;
 use name::{FileName, Letter};
 use probe::{VideoFacts, probe};
-pub use probe::{check_is_whole, for_ffmpeg, frame_rate};
+pub use probe::{check_is_video, check_is_whole, for_ffmpeg, frame_rate};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;

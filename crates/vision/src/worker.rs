@@ -143,7 +143,6 @@ struct Task<M: Model> {
     facts: Option<M::Facts>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
-    coming: Coming,
     /// True once the worker is stopped: every request is refused.
     is_stopping: bool,
     provider: ExecutionProvider,
@@ -269,7 +268,7 @@ impl<M: Model> Task<M> {
                 self.take(request);
                 Ok(Event::Request)
             }
-            () = self.coming.called_off() => Ok(Event::CalledOff),
+            () = self.queue.coming.called_off() => Ok(Event::CalledOff),
             told = told_by(&mut self.successor) => {
                 self.hear_of_successor(told);
                 Ok(Event::Successor)

@@ -334,9 +334,7 @@ fn measured_clips(
                 let Some(first) = clip::first_picture(&mut *footage)? else {
                     bail!("{name}: it has no pictures that can be read");
                 };
-                let files = footage.file_names();
-                let size = first.size;
-                let judged = with_truth(truth, &name, size, frames, files, alone, &mut report)?;
+                let judged = with_truth(truth, &*footage, first.size, alone, &mut report)?;
                 all += judged.frames;
                 unlabelled += judged.unlabelled();
                 boxes += judged.truth_boxes();

@@ -4,9 +4,10 @@
 use super::published;
 use super::run::{ClipRun, Setup, SetupRuns};
 use crate::error::EvalError;
+use crate::footage::unused_name;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// The version of the file's form.
@@ -162,28 +163,15 @@ impl Drop for RunsFile {
 /// Writes the content of a runs file to the first free name beside it, `FILE.before`, `FILE.before-2` and so on, and
 /// returns that. The copy survives a power loss.
 fn keep_beside(path: &Path, bytes: &[u8]) -> Result<PathBuf, EvalError> {
-    let mut number = 1;
-    loop {
-        let ending = if number == 1 {
-            ".before".to_owned()
-        } else {
-            format!(".before-{number}")
-        };
-        let mut name = path.as_os_str().to_owned();
-        name.push(ending);
-        let beside = PathBuf::from(name);
-        let failed = |error: std::io::Error| EvalError::write(&beside, error);
-        match File::create_new(&beside) {
-            Ok(mut file) => {
-                file.write_all(bytes).map_err(failed)?;
-                file.sync_all().map_err(failed)?;
-                return Ok(beside);
-            }
-            // It is there already: what an earlier restart kept is not replaced.
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
-            Err(error) => return Err(failed(error)),
-        }
-    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let is_taken = |name: &str| path.with_file_name(name).exists();
+    let beside = path.with_file_name(unused_name(&format!("{name}.before"), is_taken));
+    let failed = |error: std::io::Error| EvalError::write(&beside, error);
+    // Only one program writes to the runs file, which is locked: the name stays free.
+    let mut file = File::create_new(&beside).map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
+    file.sync_all().map_err(failed)?;
+    Ok(beside)
 }
 
 /// Returns the length of the lines that were written to their end; the last one may have been cut off.

@@ -18,12 +18,10 @@
 use super::classes::Evaluated;
 use super::picture_name::NumberedName;
 use super::rows::MAX_FRAMES;
-use super::{
-    Clip, DataSet, LabelledBox, LeftOut, LoadReport, Rules, TRUTH_CONFIDENCE, has_extension,
-};
+use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, Rules, TRUTH_CONFIDENCE};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::files::{entries, read_text};
+use crate::files::{entries, has_extension, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::de::IgnoredAny;

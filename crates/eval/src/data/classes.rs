@@ -7,7 +7,7 @@
 use super::LeftOut;
 use crate::error::EvalError;
 use albireo_core::detection::ClassId;
-use albireo_vision::detector::are_of_coco;
+use albireo_vision::detector::{are_of_coco, named_classes};
 use std::sync::Arc;
 
 /// A person, walking or riding.
@@ -55,7 +55,7 @@ impl Evaluated {
     /// Returns what is evaluated of a model without ground truth: its own classes, except that a model with COCO's
     /// eighty, or with no class beside the six, is evaluated with these six.
     pub fn of_model(names: &[String]) -> Self {
-        let named: Vec<&String> = names.iter().filter(|name| !name.is_empty()).collect();
+        let named = named_classes(names);
         let are_all_six = !named.is_empty() && named.iter().all(|name| from_name(name).is_ok());
         if are_of_coco(names) || are_all_six {
             Self::Road

@@ -7,10 +7,10 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, TRUTH_CONFIDENCE, has_extension};
+use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, TRUTH_CONFIDENCE};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::files::{entries, read_text};
+use crate::files::{entries, has_extension, read_text};
 use crate::footage::clip_name;
 use crate::judge::Ignored;
 use albireo_core::geometry::{Corners, PictureSize};

@@ -6,10 +6,10 @@
 
 use super::classes::from_kitti;
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, has_extension, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, TRUTH_CONFIDENCE, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::files::entries;
+use crate::files::{entries, has_extension};
 use crate::judge::Mark;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;

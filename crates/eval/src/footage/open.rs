@@ -6,7 +6,7 @@ use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use super::video_files::VideoFiles;
 use crate::error::EvalError;
-use crate::files::entries;
+use crate::files::{entries, has_extension};
 use albireo_recording::is_recording;
 use albireo_vision::picture::is_picture_file;
 use albireo_vision::recordings::{FileKind, are_several, is_video_file};
@@ -56,14 +56,12 @@ impl FromStr for SourceName {
             }
         }
         let path = Path::new(text);
-        let is_named =
-            |ending: &str| path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
         // What a file holds says more than its name.
         match FileKind::of(path) {
             Some(FileKind::Mcap) => return Ok(Self::Recording(path.to_path_buf(), None)),
             Some(FileKind::Tar) => return Ok(Self::Archive(path.to_path_buf())),
             _ if is_recording(path) => return Ok(Self::Recording(path.to_path_buf(), None)),
-            _ if is_named("tar") => return Ok(Self::Archive(path.to_path_buf())),
+            _ if has_extension(path, &["tar"]) => return Ok(Self::Archive(path.to_path_buf())),
             _ => {}
         }
         let holds_only_videos = holds(path, is_video_file) && !holds(path, is_picture_file);

@@ -51,8 +51,8 @@ impl Answers {
     /// Refuses a batch on the key of a name that no node may have. The node keeps its reports until it has another name.
     fn refuse_name(&self, query: Query, error: &KeyError) {
         self.counters.refuse(RefusalReason::Unreadable);
-        let key = beginning(query.key_expr().as_str());
         WRONG_NAME.log(|held_back| {
+            let key = beginning(query.key_expr().as_str());
             tracing::warn!(held_back, key, %error, "reports under a wrong name are refused");
         });
         let refusal = Refusal::unreadable(error.to_string());

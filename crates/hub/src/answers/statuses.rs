@@ -88,9 +88,9 @@ impl Answers {
     /// Counts a status that is not applied, and logs from where it came and why.
     fn unreadable(&self, key: &str, reason: &str) {
         self.counters.count(|counts| counts.statuses_unreadable += 1);
-        let key = beginning(key);
-        let reason = beginning(reason);
         UNREADABLE.log(|held_back| {
+            let key = beginning(key);
+            let reason = beginning(reason);
             tracing::warn!(held_back, key, reason, "a status cannot be read");
         });
     }

@@ -245,7 +245,9 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub(crate) async fn kept_events(&self) -> Result<RangeInclusive<i64>, StoreError> {
-        let text = "SELECT COALESCE(min(id), 0), COALESCE(max(id), 0) FROM events";
+        // Each for itself: SQLite would read the whole table for both at once.
+        let text = "SELECT COALESCE((SELECT min(id) FROM events), 0), \
+                    COALESCE((SELECT max(id) FROM events), 0)";
         match self.query(text, Vec::new()).await?.first_mut() {
             Some(row) => {
                 let first = row.take()?;

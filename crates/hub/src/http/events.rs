@@ -3,7 +3,7 @@
 use crate::history::StoredEvent;
 use crate::hub::Hub;
 use crate::store::Store;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, check_event_types};
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
@@ -45,19 +45,6 @@ pub(super) struct EventSelection {
     types: Option<String>,
 }
 
-impl EventSelection {
-    /// Checks the kinds: with an unknown one the stream would be silent for ever.
-    fn check(&self) -> Result<(), Problem> {
-        let mut types = self.types.iter().flat_map(|types| types.split(','));
-        let Some(unknown) = types.find(|kind| !KINDS.contains(kind)) else {
-            return Ok(());
-        };
-        let all = KINDS.join(", ");
-        let detail = format!("there is no event type `{unknown}`; there are: {all}");
-        Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(KINDS))
-    }
-}
-
 /// The fleet's events, as server-sent events
 ///
 /// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed
@@ -72,7 +59,7 @@ pub(super) async fn stream(
     headers: HeaderMap,
     Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
-    selection.check()?;
+    check_event_types(selection.types.as_deref(), &KINDS)?;
     let reader_has = match number_in(&headers)? {
         Some(number) => Some(number),
         None => selection.last_event_id,

@@ -11,6 +11,13 @@ mod kind;
 mod measured;
 mod phase;
 mod record;
+
+/// So many nodes, in words.
+pub(super) fn counted_nodes(count: usize) -> String {
+    let nodes = if count == 1 { "node" } else { "nodes" };
+    format!("{count} {nodes}")
+}
+
 #[cfg(test)]
 mod tests;
 mod values;
@@ -393,8 +400,7 @@ impl Run {
                 count += 1;
             }
         }
-        let nodes = if count == 1 { "node" } else { "nodes" };
-        self.noted(now, What::Stage, &format!("{count} {nodes}"));
+        self.noted(now, What::Stage, &counted_nodes(count));
     }
 
     fn fail(&mut self, reason: &str, now: Millis) {

@@ -2,7 +2,7 @@
 
 use super::member::{Member, Millis};
 use super::revision::Revision;
-use super::run::{Command, EndedBy, Kind, LeftOut, Run};
+use super::run::{Command, EndedBy, Kind, LeftOut, Run, counted_nodes};
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::{EventRow, StoreError};
@@ -352,13 +352,11 @@ fn counted_reasons(left_out: &[LeftOut]) -> String {
     }
     let mut reasons: Vec<(&str, usize)> = counts.into_iter().collect();
     reasons.sort_by_key(|(_, nodes)| Reverse(*nodes));
-    let shown = reasons.iter().take(MOST_REASONS);
-    let mut shown_reasons = Vec::new();
-    for (why, count) in shown {
-        let nodes = if *count == 1 { "node" } else { "nodes" };
-        shown_reasons.push(format!("{count} {nodes} ({why})"));
+    let mut shown = Vec::new();
+    for (why, count) in reasons.iter().take(MOST_REASONS) {
+        shown.push(format!("{} ({why})", counted_nodes(*count)));
     }
-    format!("; left out: {}", shown_reasons.join(", "))
+    format!("; left out: {}", shown.join(", "))
 }
 
 /// The present value of a node that can take part; else the reason that it cannot.

@@ -111,14 +111,13 @@ impl Decider {
             result,
         } = fetched;
         let waiting = self.pending.as_ref().filter(|frame| frame.incoming.index == index);
-        let need = waiting.map(|frame| frame.need);
-        let picture = waiting.map(|frame| frame.head.picture);
-        let mut decided = match (need, result) {
+        let asked = waiting.map(|frame| (frame.need, frame.head.picture));
+        let mut decided = match (asked, result) {
             // For a frame that was given up. Another one may be waiting.
             (None, _) => None,
-            (Some(need), Ok(())) => {
+            (Some((need, picture)), Ok(())) => {
                 // The run that it could have joined may have begun while its picture was examined.
-                self.policy.set_join(picture.map_or(0.0, |size| evidence.join(size)));
+                self.policy.set_join(evidence.join(picture));
                 self.give(evidence.fetched(need), outcome).map(Ok)
             }
             (Some(_), Err(fault)) => self.broken(fault, outcome),
@@ -128,7 +127,7 @@ impl Decider {
             frame.times = evidence.times();
             frame.times.latency.policy = policy;
         }
-        if decided.is_some() || need.is_none() {
+        if decided.is_some() || asked.is_none() {
             evidence.next_frame();
         }
         self.evidence = Some(evidence);

@@ -3,6 +3,7 @@
 
 use super::NodeConfig;
 use crate::input::source::{LiveSource, SourceAddress};
+use crate::state_files;
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::read_token;
 use albireo_service::identity::{Certificates, exposed, exposed_files};
@@ -247,11 +248,7 @@ fn writable(key: &str, folder: &Path, findings: &mut Findings) {
     // By writing, because permissions are not the only possible reason: a full disk takes an empty file.
     let probe = there.join(format!(".albireo-check-{}", std::process::id()));
     if let Err(error) = std::fs::write(&probe, [0; 64 << 10]) {
-        let reason = if there.exists() {
-            error.to_string()
-        } else {
-            "it is a link to a place that is not there".to_owned()
-        };
+        let reason = state_files::reason(there, &error);
         let fault = format!("{} cannot be used as a folder: {reason}", there.display());
         findings.add(key, fault);
     }

@@ -11,19 +11,8 @@ const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
 /// The transport whose address is a file.
 const OF_A_FILE: &str = "unixsock-stream";
 
-/// All transports of Zenoh.
-const KNOWN_TRANSPORTS: [&str; 10] = [
-    "tcp",
-    "tls",
-    "udp",
-    "unixsock-stream",
-    "quic",
-    "quic_datagram",
-    "ws",
-    "unixpipe",
-    "serial",
-    "vsock",
-];
+/// The other transports of Zenoh.
+const OTHER_TRANSPORTS: [&str; 6] = ["quic", "quic_datagram", "ws", "unixpipe", "serial", "vsock"];
 
 /// An endpoint without what follows its address, which may be a private key.
 pub(crate) fn shown_endpoint(endpoint: &str) -> &str {
@@ -69,7 +58,9 @@ fn ends_in_endpoint(text: &str) -> bool {
     let is_border = |c: char| c.is_whitespace() || "\"'`,=".contains(c);
     let word = text.rsplit(is_border).next().unwrap_or_default();
     let begin = word.trim_start_matches(['[', '(', '{']).split_once('/');
-    begin.is_some_and(|(transport, _)| KNOWN_TRANSPORTS.contains(&transport))
+    begin.is_some_and(|(transport, _)| {
+        TRANSPORTS.contains(&transport) || OTHER_TRANSPORTS.contains(&transport)
+    })
 }
 
 /// True for a character that no parameter of an endpoint has, unless it is a file's name.

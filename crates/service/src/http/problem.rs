@@ -66,6 +66,20 @@ impl Problem {
     }
 }
 
+/// Checks the types of a selection of events, separated by commas: with an unknown one the stream would be silent for ever.
+///
+/// # Errors
+/// The first type that is not among the `known`.
+pub fn check_event_types(types: Option<&str>, known: &[&str]) -> Result<(), Problem> {
+    let mut types = types.into_iter().flat_map(|types| types.split(','));
+    let Some(unknown) = types.find(|name| !known.contains(name)) else {
+        return Ok(());
+    };
+    let all = known.join(", ");
+    let detail = format!("there is no event type `{unknown}`; there are: {all}");
+    Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(known.iter().copied()))
+}
+
 /// Adds to an OpenAPI document what the server adds to every operation: the bearer token, and problem documents as the
 /// answers to requests that fail.
 pub fn describe(openapi: &mut OpenApi) {

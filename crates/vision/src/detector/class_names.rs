@@ -1,5 +1,6 @@
 //! The names of a model's classes: configured, from its metadata, or the list that belongs to its head.
 
+use super::classes::named_classes;
 use super::head::Head;
 use super::{ClassNames, HeadName, StartError};
 use crate::onnx::Metadata;
@@ -31,7 +32,7 @@ fn coco_categories() -> Vec<String> {
 pub fn are_of_coco(names: &[String]) -> bool {
     let is_known =
         |name: &&String| COCO_CLASSES.lines().any(|class| class.eq_ignore_ascii_case(name));
-    let used = names.iter().filter(|name| !name.is_empty()).count();
+    let used = named_classes(names).len();
     let known = names.iter().filter(is_known).count();
     used == 80 && known >= 70
 }

@@ -170,7 +170,10 @@ impl Head {
 trait ReadOutputs: std::fmt::Debug + Send {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String>;
 
-    fn overlaps_in(&self, outputs: &[TensorView<'_>]) -> bool;
+    /// Several cells show one object, unless a head says otherwise.
+    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
+        true
+    }
 
     fn evidence(&self, _outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
         Evidence::None

@@ -8,14 +8,13 @@ use std::path::{Component, Path};
 /// What a file begins with that stands for one that Git LFS did not fetch.
 const LFS_POINTER: &[u8] = b"version https://git-lfs";
 
+/// What a pointer of Git LFS is, with the way out.
+const NOT_FETCHED: &str = "a Git LFS pointer, the placeholder of a file that was not fetched: run `git lfs pull` in its \
+                           repository, or download the file itself";
+
 /// What other files begin with: the place of the bytes, the bytes, and what the file is with the way out.
 const OTHERS: [(usize, &[u8], &str); 13] = [
-    (
-        0,
-        LFS_POINTER,
-        "a Git LFS pointer, the placeholder of a file that was not fetched: run `git lfs pull` in its repository, or \
-         download the file itself",
-    ),
+    (0, LFS_POINTER, NOT_FETCHED),
     (
         0,
         b"PK\x03\x04",
@@ -203,8 +202,7 @@ fn data_fault(model: &Path, is_short: bool) -> Option<String> {
         data.take(LFS_POINTER.len() as u64).read_to_end(&mut head).ok()?;
         if head == LFS_POINTER {
             return Some(format!(
-                "its weights are in {shown}, which is a Git LFS pointer, the placeholder of a file that was not fetched: \
-                 run `git lfs pull` in its repository, or download the file itself"
+                "its weights are in {shown}, which is {NOT_FETCHED}"
             ));
         }
         sizes.push(format!("{shown} ({size} bytes)"));

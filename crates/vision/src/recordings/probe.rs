@@ -52,15 +52,23 @@ struct ProbedTags {
     creation_time: Option<String>,
 }
 
+/// Checks that a file is a video, and whole.
+///
+/// # Errors
+/// What it is instead and what to do, or what it lacks.
+pub fn check_is_video(path: &Path) -> Result<(), String> {
+    match FileKind::of(path) {
+        Some(other) => Err(other.remedy().to_owned()),
+        None => check_is_whole(path),
+    }
+}
+
 /// Looks into a file with the program `ffprobe`.
 ///
 /// # Errors
 /// Why it cannot be played.
 pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
-    if let Some(other) = FileKind::of(path) {
-        return Err(other.remedy().to_owned());
-    }
-    check_is_whole(path)?;
+    check_is_video(path)?;
     let mut command = Command::new(ffprobe);
     command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]);
     command.args([

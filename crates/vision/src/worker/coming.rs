@@ -45,8 +45,7 @@ impl Coming {
 
     /// True if a run with a picture of `size` is about to begin and has fewer than `most` so far.
     pub(crate) fn has_room(&self, size: PictureSize, most: usize) -> bool {
-        let pictures = self.0.sizes.lock().values().filter(|its_size| **its_size == size).count();
-        (1..most).contains(&pictures)
+        (1..most).contains(&self.askers_of(size).len())
     }
 
     /// The run with the picture of `asker` begins.

@@ -79,7 +79,6 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
             facts: None,
             requests: received,
             queue: Queue::new(settings.batch_size, settings.batch_wait, coming.clone()),
-            coming: coming.clone(),
             is_stopping: false,
             provider: ExecutionProvider::Cpu,
             status,

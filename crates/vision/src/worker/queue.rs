@@ -37,7 +37,7 @@ pub(super) struct Queue<I, T> {
     /// The longest time that a picture waits for pictures of other askers, from its request.
     batch_wait: Duration,
     /// The pictures that are announced, waiting or not.
-    coming: Coming,
+    pub(super) coming: Coming,
     /// The duration of the last run. Waiting longer for another picture would be slower than a run of its own.
     last_run: Duration,
 }

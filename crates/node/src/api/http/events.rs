@@ -1,9 +1,9 @@
 //! Streams the node's events as server-sent events (WHATWG HTML, section 9.2).
 
-use super::{RouteState, bad_request};
+use super::RouteState;
 use crate::state::board::News;
 use albireo_service::clock::unix_nanoseconds;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, check_event_types};
 use axum::extract::{Query, State};
 use axum::response::sse::{self, KeepAlive, Sse};
 use futures_util::Stream;
@@ -63,14 +63,7 @@ impl EventSelection {
         if let Some(camera) = &self.camera {
             shared.camera(camera)?;
         }
-        let known = News::NAMES;
-        let mut types = self.types.iter().flat_map(|types| types.split(','));
-        if let Some(unknown) = types.find(|name| !known.contains(name)) {
-            let all = known.join(", ");
-            let detail = format!("there is no event type `{unknown}`; there are: {all}");
-            return Err(bad_request(detail).allowing(known));
-        }
-        Ok(())
+        check_event_types(self.types.as_deref(), &News::NAMES)
     }
 
     fn wants(&self, news: &News) -> bool {

@@ -261,10 +261,6 @@ impl ReadOutputs for Dense {
         Ok(())
     }
 
-    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
-        true
-    }
-
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
         let Ok(anchors) = self.anchors(outputs) else {
             return Evidence::None;

@@ -76,10 +76,6 @@ impl ReadOutputs for FastestDet {
         }
         Ok(())
     }
-
-    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
-        true
-    }
 }
 
 fn sigmoid(value: f64) -> f64 {

@@ -8,13 +8,9 @@ use super::{Bound, Evidence, ReadOutputs};
 use crate::onnx::{Signature, TensorSpec, TensorView};
 use albireo_core::geometry::PictureSize;
 
-/// The parameters for reading the outputs.
+/// How the outputs are read, unless both have four numbers in a row: then a run tells which has the boxes.
 #[derive(Debug)]
-struct BoxesAndScores {
-    reading: Dense,
-    /// True if either output may have the boxes, as each row of both has four numbers.
-    have_one_shape: bool,
-}
+struct BoxesAndScores(Dense);
 
 /// Binds the two outputs of a model.
 pub(super) fn bind(
@@ -51,10 +47,7 @@ pub(super) fn bind(
     };
     Ok(Bound {
         classes: Some(classes),
-        reader: Box::new(BoxesAndScores {
-            reading,
-            have_one_shape: has_four(first) && has_four(second),
-        }),
+        reader: Box::new(BoxesAndScores(reading)),
     })
 }
 
@@ -91,16 +84,17 @@ impl BoxesAndScores {
     /// How the outputs of this run are read: most numbers of boxes in pixels are larger than any score. One odd score decides
     /// nothing.
     fn of_run(&self, outputs: &[TensorView<'_>]) -> Dense {
-        let is_second =
-            self.have_one_shape && beyond_scores(outputs, 1) > beyond_scores(outputs, 0);
-        if is_second {
+        let Self(reading) = *self;
+        // As each row of the scores has four numbers, too, either output may have the boxes.
+        let may_be_either = reading.classes == 4;
+        if may_be_either && beyond_scores(outputs, 1) > beyond_scores(outputs, 0) {
             Dense {
                 boxes: 1,
                 scores: Some(0),
-                ..self.reading
+                ..reading
             }
         } else {
-            self.reading
+            reading
         }
     }
 }
@@ -117,10 +111,6 @@ fn beyond_scores(outputs: &[TensorView<'_>], place: usize) -> usize {
 impl ReadOutputs for BoxesAndScores {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         self.of_run(outputs).read(outputs, rows)
-    }
-
-    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
-        true
     }
 
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {

@@ -98,10 +98,6 @@ impl ReadOutputs for Yolo {
         Ok(())
     }
 
-    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
-        true
-    }
-
     fn evidence(&self, outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
         let Ok(run) = self.rows(outputs) else {
             return Evidence::None;

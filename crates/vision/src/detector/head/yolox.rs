@@ -125,10 +125,6 @@ impl ReadOutputs for Yolox {
         self.reading(outputs)?.read(outputs, rows)
     }
 
-    fn overlaps_in(&self, _outputs: &[TensorView<'_>]) -> bool {
-        true
-    }
-
     fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
         match self.reading(outputs) {
             Ok(reading) => reading.evidence(outputs, confidence),

@@ -10,7 +10,7 @@ use crate::input::source::program::RunningProgram;
 use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, picture_of_file, read_part, read_ppm,
 };
-use albireo_vision::recordings::{FileKind, PassedOver, Recording, check_is_whole};
+use albireo_vision::recordings::{PassedOver, Recording, check_is_video};
 use bytes::Bytes;
 use std::io::{self, BufReader};
 use std::path::Path;
@@ -143,10 +143,7 @@ impl LiveSource {
         if resolved.kind != SourceKind::File || !path.is_file() {
             return Ok(());
         }
-        match FileKind::of(path) {
-            Some(other) => Err(other.remedy().to_owned()),
-            None => check_is_whole(path),
-        }
+        check_is_video(path)
     }
 
     /// What follows once a source has ended, of which so many frames `came` and so many `pictures` were taken.
